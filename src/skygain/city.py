@@ -1,0 +1,95 @@
+"""A city: how high the ground is built at every cell, and the buildings that make it so."""
+
+from __future__ import annotations
+
+__all__ = ["Building", "City"]
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.grid import Grid
+
+
+@dataclass(frozen=True)
+class Building:
+    """A prism: a footprint polygon raised to a height."""
+
+    footprint_m: NDArray[np.float64]
+    """``[corner, (x, y)]`` outer ring in metres, counter-clockwise, first corner not repeated"""
+    height_m: float
+    """height of the roof above the street"""
+    base_m: float = 0.0
+    """height of the underside, above zero for a bridge or an overhanging part"""
+    holes_m: tuple[NDArray[np.float64], ...] = ()
+    """inner rings (courtyards), each ``[corner, (x, y)]``"""
+
+    def shifted(self, dx_m: float, dy_m: float) -> Building:
+        """The same building moved by (dx, dy)."""
+        step = np.array([dx_m, dy_m])
+        return replace(self, footprint_m=self.footprint_m + step, holes_m=tuple(h + step for h in self.holes_m))
+
+
+@dataclass(frozen=True)
+class City:
+    """Building heights on a grid, with the polygons behind them when they are known.
+
+    Equality is identity: two cities are compared by what they are made from, not cell by cell.
+    """
+
+    grid: Grid
+    """where the cells are; `Grid.crs` says whether the city is georeferenced"""
+    height_m: NDArray[np.float32]
+    """``[row, col]`` height above the street at the cell's centre, 0 on open ground; read-only"""
+    buildings: tuple[Building, ...] = ()
+    """the footprints, empty when only the raster is known"""
+    name: str = "city"
+    """for titles and file names"""
+
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __post_init__(self) -> None:
+        height = np.array(self.height_m, dtype=np.float32)
+        if height.shape != self.grid.shape:
+            raise ValueError(f"height_m has shape {height.shape}, but the grid has {self.grid.shape}; they must agree")
+        height.flags.writeable = False
+        object.__setattr__(self, "height_m", height)
+
+    @property
+    def crs(self) -> str | None:
+        """Coordinate reference system of the grid, or ``None``."""
+        return self.grid.crs
+
+    def obstructed(self, altitude_m: float) -> NDArray[np.bool_]:
+        """``[row, col]`` cells where a UAV or receiver at ``altitude_m`` would be inside a building (height >= altitude)."""
+        return self.height_m >= altitude_m
+
+    def cropped(self, row: int, col: int, shape: tuple[int, int], *, rebase: bool = False) -> City:
+        """The window of ``shape`` cells whose south-west cell is (row, col).
+
+        With ``rebase`` the window starts a local frame of its own: the centre of its cell (0, 0) becomes (0, 0) metres and the
+        CRS is dropped, so that nothing in the crop tells where in the city it lay. Buildings that do not touch the window go.
+
+        Raises:
+            InputError: the window does not fit.
+        """
+        grid = self.grid.cropped(row, col, shape)
+        west, south, east, north = grid.bounds_m
+        kept = tuple(
+            b
+            for b in self.buildings
+            if b.footprint_m[:, 0].max() > west
+            and b.footprint_m[:, 0].min() < east
+            and b.footprint_m[:, 1].max() > south
+            and b.footprint_m[:, 1].min() < north
+        )
+        if rebase:
+            dx, dy = -grid.origin_m[0], -grid.origin_m[1]
+            kept = tuple(b.shifted(dx, dy) for b in kept)
+            grid = replace(grid, origin_m=(0.0, 0.0), crs=None)
+        rows, cols = slice(row, row + shape[0]), slice(col, col + shape[1])
+        return City(grid=grid, height_m=self.height_m[rows, cols], buildings=kept, name=self.name)

@@ -1,0 +1,1 @@
+"""The data-set store, its builder and its loader."""

@@ -1,0 +1,1 @@
+"""Receivers: perfect, noisy, replayed."""

@@ -1,0 +1,1 @@
+"""How predictors and policies are trained."""

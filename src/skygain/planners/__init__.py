@@ -1,0 +1,20 @@
+"""Planners by name."""
+
+from __future__ import annotations
+
+__all__ = ["PLANNERS", "Certificate", "Plan", "Planner", "create_planner"]
+
+from typing import Any
+
+from skygain.planners.base import Certificate, Plan, Planner
+from skygain.registry import Registry
+
+PLANNERS: Registry[Planner] = Registry("planner")
+PLANNERS.register("random-waypoint", "skygain.planners.random_waypoint:RandomWaypointPlanner")
+PLANNERS.register("lawnmower", "skygain.planners.lawnmower:LawnmowerPlanner")
+PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
+
+
+def create_planner(name: str, **options: Any) -> Planner:
+    """The planner called ``name``; an unknown name is an error that lists the known ones."""
+    return PLANNERS.create(name, **options)

@@ -1,0 +1,98 @@
+"""What a predictor believes about the gain at every cell.
+
+Inference returns an object: a mean and a variance per cell, with samples, intervals and entropy derived from them. A posterior
+that knows how cells vary together is a `JointPosterior` and also answers `covariance`; planners that need it ask for that type.
+"""
+
+from __future__ import annotations
+
+__all__ = ["GaussianProcessPosterior", "JointPosterior", "Posterior"]
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Independent normal beliefs, one per cell.
+
+    >>> belief = Posterior(np.zeros((1, 2)), np.array([[4.0, 0.0]]))
+    >>> low, high = belief.interval(0.9)
+    >>> np.round(high, 2)
+    array([[3.29, 0.  ]])
+    """
+
+    mean_db: Array
+    """``[row, col]`` expected gain"""
+    variance_db2: Array
+    """``[row, col]`` variance of the gain, never negative"""
+
+    def __post_init__(self) -> None:
+        mean, variance = np.asarray(self.mean_db, dtype=float), np.asarray(self.variance_db2, dtype=float)
+        if mean.shape != variance.shape:
+            raise ValueError(f"mean_db has shape {mean.shape}, variance_db2 has {variance.shape}; they must agree")
+        for name, value in (("mean_db", mean), ("variance_db2", variance)):
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @property
+    def std_db(self) -> Array:
+        """``[row, col]`` standard deviation."""
+        return np.sqrt(self.variance_db2)
+
+    def interval(self, level: float = 0.9) -> tuple[Array, Array]:
+        """Central credible interval: (low, high), each ``[row, col]``, that holds the gain with probability ``level``."""
+        if not 0 < level < 1:
+            raise ValueError(f"level must lie between 0 and 1, got {level}; give 0.9 for a 90 % interval")
+        half = ndtri(0.5 + level / 2) * self.std_db
+        return self.mean_db - half, self.mean_db + half
+
+    def sample(self, rng: np.random.Generator, n: int = 1) -> Array:
+        """``[n, row, col]`` draws of the whole map."""
+        return self.mean_db + self.std_db * rng.standard_normal((n, *self.mean_db.shape))
+
+    def entropy(self, cells: ArrayLike) -> float:
+        """Differential entropy in nats of the gains at ``cells[n, (row, col)]``: Σ ½ log(2πe σ²); −inf if one is known exactly."""
+        cells = np.asarray(cells, dtype=np.int64)
+        with np.errstate(divide="ignore"):
+            return float(0.5 * np.sum(np.log(2 * np.pi * np.e * self.variance_db2[cells[:, 0], cells[:, 1]])))
+
+
+class JointPosterior(Posterior):
+    """A posterior that also knows how the gains at different cells vary together."""
+
+    @abstractmethod
+    def covariance(self, cells: ArrayLike, others: ArrayLike | None = None) -> Array:
+        """``[n, m]`` covariance in dB² of the gains at ``cells[n, (row, col)]`` and ``others[m, (row, col)]`` (default ``cells``)."""
+
+    def entropy(self, cells: ArrayLike) -> float:
+        """Joint differential entropy in nats of the gains at distinct ``cells``: ½ log det(2πe Σ); −inf if Σ is singular."""
+        sign, log_det = np.linalg.slogdet(2 * np.pi * np.e * self.covariance(cells))
+        return float(0.5 * log_det) if sign > 0 else -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianProcessPosterior(JointPosterior):
+    """A Gaussian-process posterior: joint, with exact samples of the whole map."""
+
+    covariance_of: Callable[[NDArray[np.int64], NDArray[np.int64]], Array] = field(repr=False)
+    """``(cells[n, 2], others[m, 2]) -> [n, m]`` posterior covariance in dB²"""
+
+    def covariance(self, cells: ArrayLike, others: ArrayLike | None = None) -> Array:
+        cells = np.asarray(cells, dtype=np.int64)
+        return self.covariance_of(cells, cells if others is None else np.asarray(others, dtype=np.int64))
+
+    def sample_at(self, cells: ArrayLike, rng: np.random.Generator, n: int = 1) -> Array:
+        """``[n, k]`` joint draws of the gains at ``cells[k, (row, col)]``."""
+        cells = np.asarray(cells, dtype=np.int64)
+        values, vectors = np.linalg.eigh(self.covariance(cells))
+        root = vectors * np.sqrt(np.clip(values, 0, None))
+        return self.mean_db[cells[:, 0], cells[:, 1]] + rng.standard_normal((n, len(cells))) @ root.T

@@ -1,0 +1,21 @@
+"""Predictors by name."""
+
+from __future__ import annotations
+
+__all__ = ["PREDICTORS", "Belief", "Predictor", "create_predictor"]
+
+from typing import Any
+
+from skygain.predictors.base import Belief, Predictor
+from skygain.registry import Registry
+
+PREDICTORS: Registry[Predictor] = Registry("predictor")
+PREDICTORS.register("kriging", "skygain.predictors.kriging:KrigingPredictor")
+PREDICTORS.register("kriging-blind", "skygain.predictors.kriging:blind_kriging")
+PREDICTORS.register("idw", "skygain.predictors.idw:IdwPredictor")
+PREDICTORS.register("knn", "skygain.predictors.knn:KnnPredictor")
+
+
+def create_predictor(name: str, **options: Any) -> Predictor:
+    """The predictor called ``name``; an unknown name is an error that lists the known ones."""
+    return PREDICTORS.create(name, **options)

@@ -1,0 +1,40 @@
+"""The seam every predictor implements: begin a survey, take measurements in, say what is believed."""
+
+from __future__ import annotations
+
+__all__ = ["Belief", "Predictor"]
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from skygain.measurements import Measurements
+from skygain.posterior import Posterior
+from skygain.scenario import Scenario
+
+
+class Belief(ABC):
+    """The state of a predictor in one survey. Immutable: `updated` returns a new belief and the old one stays valid."""
+
+    scenario: Scenario
+    """what was known before the first measurement"""
+    measurements: Measurements
+    """everything taken in so far"""
+
+    @abstractmethod
+    def updated(self, measurements: Measurements) -> Belief:
+        """The belief after ``measurements`` as well; they may repeat cells and may be empty."""
+
+    @abstractmethod
+    def posterior(self) -> Posterior:
+        """Mean and variance of the gain at every cell, indoor cells included (there they mean nothing but are finite)."""
+
+
+class Predictor(ABC):
+    """A method that predicts the gain everywhere from sparse measurements. Holds settings and weights, never a survey's state."""
+
+    interpolates: ClassVar[bool] = True
+    """whether the mean equals an exact measurement at its cell, with no variance left there"""
+
+    @abstractmethod
+    def begin(self, scenario: Scenario) -> Belief:
+        """The belief before the first measurement."""
