@@ -1,0 +1,20 @@
+"""The small data set that ships inside the package."""
+
+from __future__ import annotations
+
+__all__ = ["open_sample"]
+
+from importlib.resources import files
+from pathlib import Path
+
+from skygain.datasets.store import ChannelDataset
+
+
+def open_sample() -> ChannelDataset:
+    """A few small pre-traced links, for the demo, doctests and tests: no ray tracer, no download.
+
+    >>> dataset = open_sample()
+    >>> dataset.splits
+    ('T1', 'T2', 'T3', 'T4')
+    """
+    return ChannelDataset.open(Path(str(files("skygain") / "data" / "sample.zarr.zip")))
