@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["Belief", "Predictor"]
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from skygain.measurements import Measurements
 from skygain.posterior import Posterior
@@ -34,6 +34,9 @@ class Predictor(ABC):
 
     interpolates: ClassVar[bool] = True
     """whether the mean equals an exact measurement at its cell, with no variance left there"""
+
+    transmitter: Literal["required", "optional", "unused"] = "unused"
+    """whether the method needs to be told where the transmitter is, can make use of it, or never looks"""
 
     @abstractmethod
     def begin(self, scenario: Scenario) -> Belief:

@@ -1,0 +1,127 @@
+"""One survey flown against a known truth, with its scores along the way."""
+
+from __future__ import annotations
+
+__all__ = ["Frame", "Recorder", "delays_ms", "rollout"]
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.evaluation.methods import MethodSpec
+from skygain.evaluation.metrics import score
+from skygain.instruments.base import Instrument
+from skygain.predictors.base import Belief
+from skygain.survey import StepRecord, Survey
+from skygain.swarm import FlightRules, Swarm
+
+if TYPE_CHECKING:
+    from skygain.datasets.cases import Case
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A survey at one moment, for pictures and reports."""
+
+    step: int
+    """steps flown"""
+    mean_db: NDArray[np.float32]
+    """``[row, col]`` predicted gain"""
+    std_db: NDArray[np.float32]
+    """``[row, col]`` predicted standard deviation"""
+    paths: NDArray[np.int64]
+    """``[uav, step + 1, (row, col)]`` flown so far"""
+    scores: dict[str, float]
+    """see `skygain.evaluation.metrics.score`; only ``mean_std_db`` when no truth is known"""
+
+
+@dataclass
+class Recorder:
+    """An observer that scores the belief at chosen steps and, when asked, keeps the maps as well."""
+
+    steps: frozenset[int]
+    """steps to record; the last step flown is recorded by calling `take` once more"""
+    truth_db: NDArray[np.floating] | None = None
+    """``[row, col]``, NaN where unknown; ``None`` when there is no truth at all"""
+    ray_traced: NDArray[np.bool_] | None = None
+    """``[row, col]`` cells a ray reached, when the truth is ray-traced"""
+    keep_maps: bool = False
+    """whether frames carry their maps; without, `Frame.mean_db` and `Frame.std_db` are empty"""
+    on_step: Callable[[int, dict[str, float]], None] | None = None
+    """told every step, with the scores when they were taken (progress displays)"""
+    frames: list[Frame] = field(default_factory=list)
+    """what was recorded so far"""
+
+    def __call__(self, step: int, swarm: Swarm, belief: Belief) -> None:
+        if step in self.steps:
+            self.take(step, swarm, belief)
+        if self.on_step:
+            self.on_step(step, self.frames[-1].scores if self.frames else {})
+
+    def take(self, step: int, swarm: Swarm, belief: Belief) -> None:
+        """Record this moment unless it was already."""
+        if self.frames and self.frames[-1].step == step:
+            return
+        posterior, outdoor = belief.posterior(), belief.scenario.outdoor
+        visited = swarm.visited | belief.measurements.visited(outdoor.shape)
+        if self.truth_db is None:
+            scores = {"mean_std_db": float(posterior.std_db[outdoor].mean())}
+        else:
+            scores = score(posterior, self.truth_db, outdoor, visited, self.ray_traced)
+        empty = np.empty((0, 0), dtype=np.float32)
+        mean = posterior.mean_db.astype(np.float32) if self.keep_maps else empty
+        std = posterior.std_db.astype(np.float32) if self.keep_maps else empty
+        self.frames.append(Frame(step, mean, std, swarm.history.copy(), scores))
+
+
+def delays_ms(journal: Sequence[StepRecord]) -> dict[str, float]:
+    """Planning delay per decision and per planned step, and update delay per step, in milliseconds (median and 95th percentile)."""
+    decisions = [(r.planning_s, r.planned_steps) for r in journal if r.planned_steps]
+    per_decision = np.array([s for s, _ in decisions]) * 1e3
+    per_step = np.array([s / n for s, n in decisions]) * 1e3
+    update = np.array([r.updating_s for r in journal]) * 1e3
+    named = {"decision": per_decision, "planned_step": per_step, "update": update}
+    return {
+        f"{name}_ms_{label}": float(np.quantile(values, q)) if len(values) else float("nan")
+        for name, values in named.items()
+        for label, q in (("median", 0.5), ("p95", 0.95))
+    }
+
+
+def rollout(
+    case: Case,
+    method: MethodSpec,
+    *,
+    steps: int,
+    record_steps: Sequence[int],
+    rules: FlightRules | None = None,
+    instrument: Callable[[NDArray[np.floating], np.random.Generator], Instrument] | None = None,
+) -> dict[str, Any]:
+    """Fly ``method`` in ``case`` and return plain numbers, ready for JSON.
+
+    Every method flown in the same case gets the same city, transmitter, crop, start cells and random stream.
+
+    Returns:
+        ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured": readings taken}``
+    """
+    from skygain.instruments.simulated import PerfectInstrument
+
+    planner_rng, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(case.seed).spawn(2))
+    truth = case.truth_db
+    predictor = method.build_predictor()
+    scenario = method.visible(case.scenario(), predictor)
+    measure = PerfectInstrument(truth) if instrument is None else instrument(truth, noise_rng)
+    recorder = Recorder(frozenset(record_steps), truth, case.ray_traced)
+    swarm = Swarm.deployed(scenario, case.start_cells, steps, rules)
+    result = Survey(scenario, predictor, method.build_planner(), measure).fly(swarm, planner_rng, recorder)
+    names = list(recorder.frames[0].scores) if recorder.frames else []
+    return {
+        "steps": [f.step for f in recorder.frames],
+        "scores": {name: [f.scores[name] for f in recorder.frames] for name in names},
+        "delays": delays_ms(result.journal),
+        "measured": len(result.measurements),
+        "certificates": [[c.certificate.value_nats, c.certificate.upper_bound_nats] for c in result.journal if c.certificate],
+    }

@@ -1,0 +1,134 @@
+"""City, scenario, measurements, posterior and registry: what they promise, and what they refuse."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from skygain.city import Building, City
+from skygain.errors import InputError
+from skygain.grid import Grid
+from skygain.measurements import Measurements
+from skygain.posterior import GaussianProcessPosterior, Posterior
+from skygain.registry import Registry
+from skygain.scenario import Scenario
+
+
+def box_city() -> City:
+    height = np.zeros((10, 10))
+    height[2:5, 6:9] = 20.0
+    square = Building(np.array([(22.0, 6.0), (34.0, 6.0), (34.0, 18.0), (22.0, 18.0)]), 20.0)
+    return City(Grid((10, 10), 4.0), height, (square,), "box")
+
+
+def test_obstructed_includes_the_roof_height_itself() -> None:
+    city = box_city()
+    assert city.obstructed(20.0).sum() == 9
+    assert city.obstructed(20.1).sum() == 0
+
+
+def test_rebased_crop_starts_at_zero_and_moves_its_buildings() -> None:
+    crop = box_city().cropped(1, 5, (6, 5), rebase=True)
+    assert crop.grid.origin_m == (0.0, 0.0)
+    assert crop.obstructed(10.0)[1:4, 1:4].all()
+    assert crop.buildings[0].footprint_m.min(axis=0).tolist() == [2.0, 2.0]
+
+
+def test_crop_drops_buildings_outside() -> None:
+    assert box_city().cropped(6, 0, (4, 4)).buildings == ()
+
+
+def test_heights_are_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        box_city().height_m[0, 0] = 1.0
+
+
+def test_no_fly_blocks_flight_but_not_prediction() -> None:
+    mask = np.zeros((10, 10), dtype=bool)
+    mask[0] = True
+    scenario = Scenario(box_city(), no_fly=mask)
+    assert not scenario.flyable[0].any()
+    assert scenario.outdoor[0].all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"transmitter_m": (28.0, 12.0, 1.5)}, "inside a building"),
+        ({"transmitter_m": (28.0, float("nan"), 1.5)}, "finite"),
+        ({"uav_altitude_m": -1.0}, "positive"),
+        ({"no_fly": np.ones((10, 10), dtype=bool)}, "no cell"),
+        ({"no_fly": np.ones((2, 2), dtype=bool)}, "shape"),
+    ],
+)
+def test_scenario_refuses_what_cannot_be_flown(change: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Scenario(box_city(), **change)
+
+
+def test_transmitter_may_stand_on_a_roof_or_off_the_map() -> None:
+    Scenario(box_city(), transmitter_m=(28.0, 12.0, 25.0))
+    Scenario(box_city(), transmitter_m=(-100.0, 12.0, 1.5))
+
+
+def test_measurements_only_grow() -> None:
+    first = Measurements.at([(0, 1)], [-90.0])
+    both = first.extended(Measurements.at([(2, 2), (0, 1)], [-95.0, -91.0], noise_std_db=[1.0, 2.0], uav=[0, 1]))
+    assert len(first) == 1
+    assert both.gain_db.tolist() == [-90.0, -95.0, -91.0]
+    assert both.visited((3, 3)).sum() == 2
+    with pytest.raises(ValueError, match="read-only"):
+        both.gain_db[0] = 0.0
+
+
+@pytest.mark.parametrize("bad", [{"gain_db": [np.nan]}, {"gain_db": [np.inf]}, {"noise_std_db": -1.0}, {"cell": [(0, 0), (1, 1)]}])
+def test_measurements_refuse_bad_columns(bad: dict) -> None:
+    columns = {"cell": [(0, 0)], "gain_db": [-90.0]} | bad
+    with pytest.raises(InputError):
+        Measurements.at(**columns)
+
+
+def test_posterior_interval_and_entropy_agree_with_scipy(rng: np.random.Generator) -> None:
+    posterior = Posterior(rng.normal(size=(3, 4)), rng.uniform(0.5, 4, size=(3, 4)))
+    low, high = posterior.interval(0.8)
+    expected = stats.norm(posterior.mean_db, posterior.std_db)
+    assert np.allclose(low, expected.ppf(0.1))
+    assert np.allclose(high, expected.ppf(0.9))
+    cells = np.array([(0, 0), (2, 3)])
+    assert np.isclose(posterior.entropy(cells), expected.entropy()[cells[:, 0], cells[:, 1]].sum())
+
+
+def test_joint_posterior_entropy_and_samples_agree_with_scipy(rng: np.random.Generator) -> None:
+    root = rng.normal(size=(6, 6))
+    sigma = root @ root.T
+
+    def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return sigma[np.ix_(a @ (3, 1), b @ (3, 1))]
+
+    posterior = GaussianProcessPosterior(rng.normal(size=(2, 3)), np.diag(sigma).reshape(2, 3), covariance)
+    cells = np.array([(0, 1), (1, 0), (1, 2)])
+    block = covariance(cells, cells)
+    assert np.isclose(posterior.entropy(cells), stats.multivariate_normal(cov=block).entropy())
+    draws = posterior.sample_at(cells, rng, 20_000)
+    assert np.allclose(np.cov(draws.T), block, atol=0.06 * np.abs(block).max())
+
+
+def test_registry_names_what_it_knows() -> None:
+    registry: Registry[object] = Registry("planner")
+    registry.register("lawnmower", object)
+    with pytest.raises(InputError, match=r"unknown planner 'lawnmover'; did you mean 'lawnmower'\? known: lawnmower"):
+        registry.create("lawnmover")
+    with pytest.raises(ValueError, match="already"):
+        registry.register("lawnmower", object)
+
+
+def test_importing_the_core_loads_nothing_heavy() -> None:
+    heavy = ["torch", "numba", "sionna", "mitsuba", "matplotlib", "rasterio", "xarray", "pandas", "geopandas"]
+    core = "skygain.survey, skygain.cli, skygain.predictors, skygain.planners, skygain.instruments, skygain.cities, skygain.testing"
+    code = f"import sys, {core}; print([m for m in {heavy} if m in sys.modules])"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.strip() == "[]"
