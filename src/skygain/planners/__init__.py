@@ -12,6 +12,7 @@ from skygain.registry import Registry
 PLANNERS: Registry[Planner] = Registry("planner")
 PLANNERS.register("random-waypoint", "skygain.planners.random_waypoint:RandomWaypointPlanner")
 PLANNERS.register("lawnmower", "skygain.planners.lawnmower:LawnmowerPlanner")
+PLANNERS.register("spiral", "skygain.planners.lawnmower:SpiralPlanner")
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
 
 
