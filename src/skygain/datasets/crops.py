@@ -58,21 +58,19 @@ def mirrored_link(link: Link) -> Link:
 
 
 def random_crop(link: Link, rng: np.random.Generator, shape: tuple[int, int] = (96, 96), *, augment: bool = False) -> Link:
-    """A crop at a random place; with ``augment`` also turned by random quarters and mirrored with probability 1/2.
+    """A crop of ``shape`` at a random place; with ``augment`` also turned by random quarters and mirrored with probability 1/2.
 
     Raises:
         InputError: the map is smaller than ``shape``.
     """
+    quarters, mirror = (int(rng.integers(4)), bool(rng.integers(2))) if augment else (0, False)
+    cut = shape[::-1] if quarters % 2 else shape  # lying down before an odd number of quarter turns
     rows, cols = link.city.grid.shape
-    if shape[0] > rows or shape[1] > cols:
-        raise InputError(f"a crop of {shape} cells does not fit into the map of {(rows, cols)} cells; choose a smaller crop")
-    row, col = rng.integers(rows - shape[0] + 1), rng.integers(cols - shape[1] + 1)
-    crop = cropped_link(link, int(row), int(col), shape)
-    if augment:
-        crop = turned_link(crop, int(rng.integers(4)))
-        if rng.integers(2):
-            crop = mirrored_link(crop)
-    return crop
+    if cut[0] > rows or cut[1] > cols:
+        raise InputError(f"a crop of {cut} cells does not fit into the map of {(rows, cols)} cells; choose a smaller crop")
+    row, col = int(rng.integers(rows - cut[0] + 1)), int(rng.integers(cols - cut[1] + 1))
+    crop = turned_link(cropped_link(link, row, col, cut), quarters)
+    return mirrored_link(crop) if mirror else crop
 
 
 def _quarter_turned(link: Link) -> Link:
