@@ -141,7 +141,7 @@ def _run(config: ComparisonConfig, index: int, method: MethodSpec) -> dict[str, 
     outcome = rollout(
         case, method, steps=config.steps, record_steps=config.record_steps, rules=config.rules, instrument=noisy
     )
-    return {"case": case.key, "city": case.city_index, "method": method.label, **outcome}
+    return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
 @contextmanager
@@ -192,12 +192,12 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     if workers is not None and workers < 1:
         raise InputError(f"workers must be 1 or more, got {workers}")
     journal = out / "rollouts.jsonl"
-    done: dict[tuple[str, str], dict[str, Any]] = {}
+    done: dict[tuple[int, str], dict[str, Any]] = {}
     for line in _read_lines(journal):
         if line["fingerprint"] != config.fingerprint:
             raise InputError(f"{journal} holds rollouts of another comparison; give another --out or delete that file")
         done[line["case"], line["method"]] = line
-    todo = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].key, m.label) not in done]
+    todo = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].link, m.label) not in done]
     total, count = len(cases) * len(config.methods), len(cases) * len(config.methods) - len(todo)
     workers = min(workers or os.cpu_count() or 1, max(1, len(todo)))
     with _single_threaded_children(), journal.open("a") as sink:
@@ -234,11 +234,11 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     return _collected(config, cases, done)
 
 
-def _collected(config: ComparisonConfig, cases: list[Case], done: dict[tuple[str, str], dict[str, Any]]) -> Comparison:
+def _collected(config: ComparisonConfig, cases: list[Case], done: dict[tuple[int, str], dict[str, Any]]) -> Comparison:
     scores: dict[str, dict[str, NDArray[np.float64]]] = {}
     delays: dict[str, dict[str, NDArray[np.float64]]] = {}
     for method in config.methods:
-        rows = [done[case.key, method.label] for case in cases]
+        rows = [done[case.link, method.label] for case in cases]
         scores[method.label] = {name: np.array([r["scores"][name] for r in rows], dtype=float) for name in rows[0]["scores"]}
         delays[method.label] = {name: np.array([r["delays"][name] for r in rows], dtype=float) for name in rows[0]["delays"]}
     cities = np.array([case.city_index for case in cases], dtype=np.int64)

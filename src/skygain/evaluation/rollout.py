@@ -109,7 +109,7 @@ def rollout(
     """
     from skygain.instruments.simulated import PerfectInstrument
 
-    planner_rng, noise_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(case.seed).spawn(2))
+    planner_rng, noise_rng = case.rng(0), case.rng(1)
     truth = case.truth_db
     predictor = method.build_predictor()
     scenario = method.visible(case.scenario(), predictor)

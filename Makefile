@@ -1,0 +1,43 @@
+# Two targets do everything on a fresh Debian machine with Python 3.11 or newer: `make demo` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.PHONY: demo test lint types docs check clean
+
+demo: .venv/demo.stamp
+	$(BIN)/skygain survey --city sample:3 --predictor kriging --planner greedy-variance --steps 200 --out surveys/demo --overwrite
+	@echo "Open surveys/demo/report.html in a browser."
+	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then $(BIN)/python -m webbrowser -t "file://$(CURDIR)/surveys/demo/report.html"; fi
+
+test: .venv/test.stamp
+	$(BIN)/python -m pytest -n auto
+
+lint: .venv/test.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/test.stamp
+	$(BIN)/mypy
+
+docs: .venv/test.stamp
+	$(BIN)/python docs/check.py
+
+check: test lint types docs
+
+.venv/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit("Skygain needs Python 3.11 or newer, found " + sys.version) if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv .venv || { echo "the venv module is missing: apt-get install python3-venv"; rm -rf .venv; exit 1; }
+
+# Pins hold for these two; pyproject.toml has the ranges that should work.
+.venv/demo.stamp: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) install --quiet --constraint constraints.txt torch
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo]'
+	@touch $@
+
+.venv/test.stamp: .venv/demo.stamp
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo,raytrace,dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv surveys

@@ -1,0 +1,97 @@
+"""A comparison is paired, reproducible, survives being killed, and does not mix with another one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skygain.errors import InputError
+from skygain.evaluation.comparison import ComparisonConfig, compare
+from skygain.evaluation.methods import MethodSpec, parse_spec
+from skygain.evaluation.outputs import run_comparison
+from skygain.evaluation.tables import comparison_json, comparison_markdown
+
+CONFIG = ComparisonConfig(
+    predictors=("idw", "knn"), planners=("random-waypoint", "lawnmower"), data="sample", steps=20, record_every=10, max_surveys=1
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("comparison")
+    run_comparison(CONFIG, out, workers=1)
+    return out
+
+
+def test_outputs_are_complete(folder: Path) -> None:
+    results = json.loads((folder / "results.json").read_text())
+    assert results["table"] == (folder / "table.md").read_text()
+    assert set(results["methods"]) == {m.label for m in CONFIG.methods}
+    assert (folder / "rmse_vs_steps.png").read_bytes()[:4] == b"\x89PNG"
+    assert len((folder / "rollouts.jsonl").read_text().splitlines()) == 4
+
+
+def test_a_killed_run_goes_on_and_ends_in_the_same_table(folder: Path, tmp_path: Path) -> None:
+    lines = (folder / "rollouts.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "rollouts.jsonl").write_text(lines[1] + lines[0][: len(lines[0]) // 2])
+    flown: list[str] = []
+    resumed = compare(CONFIG, tmp_path, workers=2, progress=lambda done, total, label: flown.append(label))
+    assert len(flown) == 3
+    whole = compare(CONFIG, folder)
+    for label, named in whole.scores.items():
+        for name, values in named.items():
+            assert np.array_equal(values, resumed.scores[label][name], equal_nan=True)
+
+
+def test_planners_of_one_case_start_alike(folder: Path) -> None:
+    """Two predictors flown by the random planner measure the same cells, so both see as many readings."""
+    lines = [json.loads(line) for line in (folder / "rollouts.jsonl").read_text().splitlines()]
+    measured = {line["method"]: line["measured"] for line in lines}
+    assert measured["idw / random-waypoint"] == measured["knn / random-waypoint"]
+
+
+def test_another_comparison_is_refused(folder: Path) -> None:
+    with pytest.raises(InputError, match="another comparison"):
+        compare(replace(CONFIG, steps=30), folder)
+
+
+def test_table_says_difference_zero_for_a_method_against_itself(folder: Path) -> None:
+    same = replace(CONFIG, predictors=("idw",), planners=("lawnmower",))
+    comparison = compare(same, folder)
+    twin = replace(same, predictors=("idw",))
+    doubled = replace(comparison, config=replace(twin, planners=("lawnmower",)))
+    doubled.scores["copy / lawnmower"] = comparison.scores["idw / lawnmower"]
+    doubled.delays["copy / lawnmower"] = comparison.delays["idw / lawnmower"]
+    assert "| copy / lawnmower | +0.00 [+0.00, +0.00]" in comparison_markdown(doubled)
+    assert comparison_json(doubled)["paired"][0]["rmse_db"][-1]["mean"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"predictors": ("krigging",)}, "did you mean 'kriging'"),
+        ({"planners": ("lawnmower:lane=2:nonsense",)}, "name:key=value"),
+        ({"planners": ("lawnmower:nonsense=2",)}, "does not take"),
+        ({"data": "/nowhere/x.zarr.zip"}, "x.zarr.zip"),
+        ({"split": "T9"}, "T9"),
+        ({"altitude_m": 12.5}, "12.5"),
+    ],
+)
+def test_bad_requests_are_one_clear_line(change: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        compare(replace(CONFIG, **change), tmp_path)
+
+
+@pytest.mark.parametrize("change", [{"steps": 0}, {"record_every": 0}, {"max_surveys": 0}, {"noise_db": -1.0}, {"planners": ()}])
+def test_impossible_configurations_are_refused(change: dict) -> None:
+    with pytest.raises(InputError):
+        replace(CONFIG, **change)
+
+
+def test_the_transmitter_is_told_only_on_request() -> None:
+    assert parse_spec("a:x=1:y=two") == ("a", {"x": 1, "y": "two"})
+    assert MethodSpec("knn+tx", "lawnmower").build_predictor() is MethodSpec("knn", "lawnmower").build_predictor()
