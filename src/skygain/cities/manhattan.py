@@ -14,7 +14,7 @@ from __future__ import annotations
 __all__ = ["ManhattanConfig", "manhattan_city", "transmitter_sites"]
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -167,7 +167,7 @@ def _block_spans(rng: np.random.Generator, config: ManhattanConfig) -> list[tupl
     weights = rng.uniform(1 - config.block_variation, 1 + config.block_variation, config.blocks)
     edges = np.concatenate([[0.0], np.cumsum(weights / weights.sum()) * config.extent_m])
     half = config.street_width_m / 2
-    return [(float(_snapped(low + half)), float(_snapped(high - half))) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return [(float(_snapped(low + half)), float(_snapped(high - half))) for low, high in pairwise(edges)]
 
 
 def _building_span(rng: np.random.Generator, low: float, high: float, config: ManhattanConfig) -> tuple[float, float]:
@@ -185,7 +185,7 @@ def _snapped(value: ArrayLike) -> NDArray[np.float64]:
 def _lattice(low: float, high: float, pitch_m: float) -> NDArray[np.float64]:
     """As many points ``pitch_m`` apart as best fill the span, in its middle."""
     count = max(1, round((high - low) / pitch_m))
-    return (low + high) / 2 + pitch_m * (np.arange(count) - (count - 1) / 2)
+    return (low + high) / 2 + pitch_m * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
 
 
 def _crossings(points: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -1,0 +1,297 @@
+"""Cities from building footprints: GeoJSON, GeoPackage, Shapefile and OpenStreetMap (.osm, .osm.pbf).
+
+Polygons become prisms. Roof shapes are ignored: a building has one height, that of its highest point, as OpenStreetMap's
+``height`` is defined. Three rules need saying:
+
+- *Parts.* Where polygons tagged ``building:part`` lie on a building, they count and the building's own outline does not: the
+  outline keeps its height only where no part covers it, and goes entirely if less than a tenth is left.
+- *Missing heights.* ``height`` counts before ``building:levels`` (3 m each); a part without either takes its building's
+  height; all others get a default, and how many did is counted.
+- *Overhangs.* The raster has one height per cell, and UAVs are kept out of cells by it. A cell under a bridge or an overhanging
+  part therefore has the height of its top, although the street is open beneath. The polygons keep their base, so rays do pass.
+"""
+
+from __future__ import annotations
+
+__all__ = ["DEFAULT_HEIGHT_M", "footprints_city", "rasterised", "read_footprints"]
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.cities.framing import (
+    Bounds,
+    Reading,
+    box_in_metres,
+    check_overlap,
+    city_name,
+    existing_file,
+    grid_over,
+    in_degrees,
+    metric_crs,
+    transformed_bounds,
+)
+from skygain.cities.tags import LEVEL_M, BuildingTags, read_tags
+from skygain.cities.vector import VectorLayer, open_layer
+from skygain.city import Building, City
+from skygain.errors import InputError, require
+from skygain.grid import Grid
+
+DEFAULT_HEIGHT_M = 3 * LEVEL_M
+"""height of a building for which the file gives none"""
+
+_COVERED = 0.9
+"""share of an outline that parts must cover to replace it entirely"""
+
+
+def footprints_city(
+    path: str | Path,
+    *,
+    spacing_m: float = 4.0,
+    crs: str | None = None,
+    box: Bounds | None = None,
+    layer: str | None = None,
+    default_height_m: float = DEFAULT_HEIGHT_M,
+) -> City:
+    """The city of `read_footprints`, without the account of what was assumed."""
+    return read_footprints(path, spacing_m=spacing_m, crs=crs, box=box, layer=layer, default_height_m=default_height_m).city
+
+
+def read_footprints(
+    path: str | Path,
+    *,
+    spacing_m: float = 4.0,
+    crs: str | None = None,
+    box: Bounds | None = None,
+    layer: str | None = None,
+    default_height_m: float = DEFAULT_HEIGHT_M,
+) -> Reading:
+    """Read building footprints.
+
+    If any polygon of the file is tagged ``building`` or ``building:part``, only such polygons are buildings; else all are.
+
+    Args:
+        path: the file; its ending says what it is (see `skygain.cities.vector.SUFFIXES`).
+        spacing_m: side of a cell.
+        crs: coordinate reference system of the file's coordinates, against what the file says; ``"local"`` for plain metres.
+        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's projection; everything when
+            left out.
+        layer: which layer, where the file has several with polygons.
+        default_height_m: height of a building without one.
+
+    Returns:
+        The city with its polygons, in the file's projection or, if that is none in true metres, in UTM.
+
+    Raises:
+        InputError: the file is unreadable, has no building polygons (in the box), no coordinate reference system, or coordinates
+            that do not fit it.
+    """
+    path = existing_file(path)
+    if not (math.isfinite(default_height_m) and default_height_m > 0):
+        raise InputError(f"default_height_m must be a positive number of metres, got {default_height_m}")
+    try:
+        return _read(path, spacing_m, crs, box, layer, default_height_m)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
+    except require("shapely", "geo").errors.GEOSException as error:
+        raise InputError(f"{path.name}: the polygons cannot be mended ({error}); repair them in a GIS first") from error
+
+
+def rasterised(buildings: Sequence[Building], grid: Grid) -> NDArray[np.float32]:
+    """``[row, col]`` height of the highest building over each cell's centre, 0 where there is none."""
+    features = require("rasterio.features", "geo")
+    rasterio = require("rasterio", "geo")
+    shapely = require("shapely", "geo")
+    if not buildings:
+        return np.zeros(grid.shape, dtype=np.float32)
+    west, _, _, north = grid.bounds_m
+    lowest_first = sorted(buildings, key=lambda b: b.height_m)
+    height = features.rasterize(
+        ((shapely.Polygon(b.footprint_m, b.holes_m), b.height_m) for b in lowest_first),
+        out_shape=grid.shape,
+        transform=rasterio.Affine(grid.spacing_m, 0.0, west, 0.0, -grid.spacing_m, north),
+        dtype="float32",
+    )
+    return np.ascontiguousarray(height[::-1], dtype=np.float32)
+
+
+def _read(
+    path: Path, spacing_m: float, crs: str | None, box: Bounds | None, layer: str | None, default_height_m: float
+) -> Reading:
+    source = open_layer(path, layer, crs)
+    target, bounds, window = _frame(source.crs, box)
+    geometries, attributes = source.features(window)
+    if box is not None and window is not None and not len(geometries):
+        _explain_miss(source, window, box)
+    counts: Counter[str] = Counter()
+    geometries, tags = _selected(geometries, [read_tags(a) for a in attributes], counts)
+    if bounds is None and len(geometries):
+        target = metric_crs(source.crs, _bounds(geometries))
+    polygons, tags = _polygons(_projected(geometries, source.crs, target), tags, counts)
+    if not len(polygons):
+        found = "; ".join(f"{count} {what}" for what, count in sorted(counts.items()) if count) or "nothing at all"
+        raise InputError(f"no building polygons{' in the box' if box else ''}, found {found}; expected polygons with an area")
+    if bounds is None:
+        data_m = _bounds(polygons)
+        bounds = _outward(data_m, spacing_m) if box is None else box_in_metres(box, target)
+        if box is not None:
+            check_overlap(bounds, data_m, box, target)
+    grid = grid_over(bounds, spacing_m, target)
+    buildings = _prisms(*_with_parts(polygons, tags, counts), default_height_m, counts)
+    kept = tuple(b for b in buildings if _touches(b, grid.bounds_m))
+    city = City(grid=grid, height_m=rasterised(kept, grid), buildings=kept, name=city_name(path))
+    return Reading(city, {"buildings": len(kept), **{what: count for what, count in sorted(counts.items()) if count}})
+
+
+def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | None, Bounds | None]:
+    """Projection of the map, its bounds in metres, and the rectangle of the file's coordinates that holds it.
+
+    All are ``None`` where they follow from the data: without a box, or with a box in the metres of a UTM zone yet to be found.
+    """
+    if box is None:
+        return None, None, None
+    if own is None:
+        bounds = box_in_metres(box, None)
+        return None, bounds, bounds
+    if in_degrees(box):
+        target = metric_crs(own, box_in_metres(box, own))
+        bounds = box_in_metres(box, target)
+        return target, bounds, transformed_bounds(bounds, target, own)
+    bounds = box_in_metres(box, own)
+    if own.is_projected and metric_crs(own, bounds) == own:
+        return own, bounds, bounds
+    return None, None, None
+
+
+def _explain_miss(source: VectorLayer, window: Bounds, box: Bounds) -> None:
+    extent = source.extent()
+    if extent is not None:
+        check_overlap(window, extent, box, source.crs)
+
+
+def _selected(
+    geometries: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
+) -> tuple[NDArray[np.object_], list[BuildingTags]]:
+    """The features that are buildings above ground and have finite coordinates."""
+    shapely = require("shapely", "geo")
+    wanted = np.array([t.is_building for t in tags], dtype=bool)
+    if not wanted.any():
+        wanted[:] = True
+    else:
+        counts["features that are no buildings, left out"] += int((~wanted).sum())
+    underground = wanted & np.array([t.is_underground for t in tags], dtype=bool)
+    counts["underground, left out"] += int(underground.sum())
+    wanted &= ~underground
+    solid = np.isfinite(shapely.bounds(geometries)).all(axis=1)
+    counts["without a polygon, left out"] += int((wanted & ~solid).sum())
+    kept = np.flatnonzero(wanted & solid)
+    return geometries[kept], [tags[i] for i in kept]
+
+
+def _projected(geometries: NDArray[np.object_], own: Any | None, target: Any | None) -> NDArray[np.object_]:
+    if own is None or target is None or own == target:
+        return geometries
+    shapely = require("shapely", "geo")
+    pyproj = require("pyproj", "geo")
+    transformer = pyproj.Transformer.from_crs(own, target, always_xy=True)
+    moved: NDArray[np.object_] = shapely.transform(
+        geometries, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1], errcheck=False))
+    )
+    return moved
+
+
+def _polygons(
+    geometries: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
+) -> tuple[NDArray[np.object_], list[BuildingTags]]:
+    """Valid polygons with an area, counter-clockwise; one feature may give several."""
+    shapely = require("shapely", "geo")
+    finite = np.isfinite(shapely.bounds(geometries)).all(axis=1)
+    geometries = geometries.copy()
+    broken = finite & ~shapely.is_valid(geometries)
+    geometries[broken] = shapely.make_valid(geometries[broken], method="structure", keep_collapsed=False)
+    geometries[~finite] = None
+    counts["polygons mended"] += int(broken.sum())
+    parts, owner = shapely.get_parts(geometries, return_index=True)
+    polygons, within = shapely.get_parts(parts, return_index=True)  # a collection may hold multi-polygons
+    owner = owner[within]
+    good = (shapely.get_type_id(polygons) == shapely.GeometryType.POLYGON) & (shapely.area(polygons) > 0)
+    counts["without a polygon, left out"] += len(geometries) - len(np.unique(owner[good]))
+    return shapely.orient_polygons(polygons[good]), [tags[i] for i in owner[good]]
+
+
+def _with_parts(
+    polygons: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
+) -> tuple[list[Any], list[BuildingTags]]:
+    """Apply the rule for parts: outlines without what their parts cover, then the parts.
+
+    A part belongs to an outline if more than half of it lies inside.
+    """
+    shapely = require("shapely", "geo")
+    is_part = np.array([t.is_part for t in tags], dtype=bool)
+    parts = np.flatnonzero(is_part)
+    tree = shapely.STRtree(polygons[parts])
+    part_tags = {int(i): tags[i] for i in parts}
+    found: list[Any] = []
+    found_tags: list[BuildingTags] = []
+    for i in np.flatnonzero(~is_part):
+        outline = polygons[i]
+        near = parts[np.sort(tree.query(outline, predicate="intersects"))]
+        own = near[shapely.area(shapely.intersection(polygons[near], outline)) > 0.5 * shapely.area(polygons[near])]
+        pieces = [outline]
+        if len(own):
+            left = shapely.difference(outline, shapely.union_all(polygons[own]))
+            replaced = shapely.area(left) < (1 - _COVERED) * shapely.area(outline)
+            counts["outlines replaced by their parts" if replaced else "outlines cut by their parts"] += 1
+            pieces = [] if replaced else [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and p.area > 0]
+            for j in own:
+                if part_tags[int(j)].height_m is None:
+                    part_tags[int(j)] = replace(part_tags[int(j)], height_m=tags[i].height_m)
+        found += pieces
+        found_tags += [tags[i]] * len(pieces)
+    return [*found, *polygons[parts]], [*found_tags, *part_tags.values()]
+
+
+def _prisms(polygons: list[Any], tags: list[BuildingTags], default_height_m: float, counts: Counter[str]) -> list[Building]:
+    shapely = require("shapely", "geo")
+    found = []
+    for polygon, tag in zip(polygons, tags, strict=True):
+        height, base = tag.height_m, tag.base_m
+        counts["heights from levels"] += tag.from_levels
+        counts["heights or levels not understood"] += tag.misread
+        if height is None:
+            height = base + default_height_m
+            counts[f"without a height, taken as {default_height_m:g} m"] += 1
+        if base >= height:
+            base = 0.0
+            counts["undersides above the top, taken as the ground"] += 1
+        polygon = shapely.orient_polygons(shapely.remove_repeated_points(polygon))
+        rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+        found.append(Building(footprint_m=rings[0], height_m=float(height), base_m=float(base), holes_m=tuple(rings[1:])))
+    return found
+
+
+def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
+    """The bounds moved outwards to multiples of the spacing, so that extracts of one city share their cells."""
+    if not (math.isfinite(spacing_m) and spacing_m > 0):
+        raise InputError(f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual")
+    west, south, east, north = bounds_m
+    low = np.floor(np.array([west, south]) / spacing_m) * spacing_m
+    high = np.ceil(np.array([east, north]) / spacing_m) * spacing_m
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _bounds(geometries: NDArray[np.object_]) -> Bounds:
+    west, south, east, north = (float(v) for v in require("shapely", "geo").total_bounds(geometries))
+    return west, south, east, north
+
+
+def _touches(building: Building, bounds_m: Bounds) -> bool:
+    west, south, east, north = bounds_m
+    (x0, y0), (x1, y1) = building.footprint_m.min(axis=0), building.footprint_m.max(axis=0)
+    return bool(x1 > west and x0 < east and y1 > south and y0 < north)
