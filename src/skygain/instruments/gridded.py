@@ -1,0 +1,215 @@
+"""A recording brought onto a grid: one value per cell, with how sure it is.
+
+Readings of one cell are averaged in dB. The beliefs of this package are normal in dB, and shadowing is what is mapped: the dB
+mean estimates its centre. A mean of powers would lie higher by (ln 10 / 20) σ² dB for a spread of σ dB (1.8 dB at σ = 4 dB), by
+more in cells that fade more, and a single strong reading would decide it.
+"""
+
+from __future__ import annotations
+
+__all__ = ["FLOOR_STD_DB", "GriddedRecording", "grid_for", "gridded"]
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.cities.framing import Bounds, box_in_metres, grid_over, metric_crs, parse_crs, transformed_bounds
+from skygain.errors import InputError, require
+from skygain.grid import Grid
+from skygain.measurements import Measurements
+
+if TYPE_CHECKING:
+    from skygain.instruments.recording import Recording
+
+FLOOR_STD_DB = 1.0
+"""a cell's value is never taken to be surer than this, however many readings agree: phones report whole dB, and readings taken
+together share their error"""
+
+_POOLED_READINGS = 4.0
+"""a cell's own spread is mixed with the spread of all cells as if the latter came from this many readings of its own"""
+
+_WGS84 = "EPSG:4326"
+
+
+@dataclass(frozen=True, eq=False)
+class GriddedRecording:
+    """A recording on a grid: the cells that have readings, in map order, and what they read. Arrays are read-only."""
+
+    grid: Grid
+    """the map"""
+    cell: NDArray[np.int64]
+    """``[k, (row, col)]`` cells with at least one reading"""
+    level_db: NDArray[np.float64]
+    """``[k]`` mean in dB of the cell's distinct readings"""
+    noise_std_db: NDArray[np.float64]
+    """``[k]`` standard deviation of that mean"""
+    spread_db: NDArray[np.float64]
+    """``[k]`` sample standard deviation of the cell's distinct readings; NaN where there is one only"""
+    count: NDArray[np.int64]
+    """``[k]`` readings in the cell, copies included"""
+    distinct: NDArray[np.int64]
+    """``[k]`` readings that differ in position or level; a logger that polls faster than the phone measures writes copies"""
+    censored: NDArray[np.bool_]
+    """``[k]`` every reading of the cell was at the receiver's floor"""
+    outside: int
+    """readings that lie off the map"""
+    quantity: str
+    """``"gain"`` in dB or ``"power"`` in dBm"""
+    source: str
+    """where the recording came from"""
+
+    def __post_init__(self) -> None:
+        for name in ("cell", "level_db", "noise_std_db", "spread_db", "count", "distinct", "censored"):
+            getattr(self, name).flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    @property
+    def recorded(self) -> NDArray[np.bool_]:
+        """``[row, col]`` cells with a reading."""
+        mask = np.zeros(self.grid.shape, dtype=bool)
+        mask[self.cell[:, 0], self.cell[:, 1]] = True
+        return mask
+
+    def measurements(self) -> Measurements:
+        """The cells' values as measurements, in map order."""
+        return Measurements.at(self.cell, self.level_db, noise_std_db=self.noise_std_db, censored=self.censored)
+
+
+def gridded(recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD_DB) -> GriddedRecording:
+    """One value per cell of ``grid``.
+
+    With m distinct readings y in a cell, the value is their mean ȳ and its standard deviation is √(s²/m + f²), where f is
+    ``floor_std_db`` and s² = (4 p² + Σ(y − ȳ)²) / (4 + m − 1) mixes the cell's own spread with p², the spread pooled over all
+    cells: a single reading is as uncertain as readings of one cell usually are. Where the file states each reading's standard
+    deviation σ, it is believed instead: √(Σσ²)/m. Readings that agree in position and level count once.
+
+    Raises:
+        InputError: no reading lies on the map, the map has no CRS to place latitudes with, or x and y are in another frame.
+    """
+    if not 0 <= floor_std_db < np.inf:
+        raise InputError(f"floor_std_db must be 0 dB or more, got {floor_std_db}; {FLOOR_STD_DB:g} is usual")
+    xy_m = _metres(recording, grid.crs)
+    cells, on_map = _cells_of(xy_m, grid)
+    if not on_map.any():
+        raise InputError(_all_outside(recording, grid))
+    noise = np.zeros(len(recording)) if recording.noise_std_db is None else recording.noise_std_db
+    floored = np.zeros(len(recording)) if recording.censored is None else recording.censored
+    rows = np.column_stack([grid.flat(cells), xy_m, recording.level_db, noise, floored])[on_map]
+    everyone, count = np.unique(rows[:, 0], return_counts=True)
+    rows = np.unique(rows, axis=0)
+    _, group, distinct = np.unique(rows[:, 0], return_inverse=True, return_counts=True)
+    level, noise, floored = rows[:, 3:].T
+    mean = np.bincount(group, level) / distinct
+    squares = np.bincount(group, (level - mean[group]) ** 2)
+    if recording.noise_std_db is None:
+        freedom = max(1, len(level) - len(mean))
+        own = (_POOLED_READINGS * squares.sum() / freedom + squares) / (_POOLED_READINGS + distinct - 1)
+        std = np.sqrt(own / distinct + floor_std_db**2)
+    else:
+        std = np.sqrt(np.bincount(group, noise**2)) / distinct
+    flat = everyone.astype(np.int64)
+    return GriddedRecording(
+        grid=grid,
+        cell=np.stack(np.divmod(flat, grid.shape[1]), axis=-1),
+        level_db=mean,
+        noise_std_db=std,
+        spread_db=np.where(distinct > 1, np.sqrt(squares / np.maximum(distinct - 1, 1)), np.nan),
+        count=count,
+        distinct=distinct,
+        censored=np.bincount(group, floored) == distinct,
+        outside=int((~on_map).sum()),
+        quantity=recording.quantity,
+        source=recording.source,
+    )
+
+
+def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = None) -> Grid:
+    """A grid that holds the recording: in the UTM zone of its centre if the recording is georeferenced, else in its own frame.
+
+    Args:
+        recording: what is to be mapped.
+        spacing_m: side of a cell.
+        box: (west, south, east, north) of the map, in degrees or in the metres of the grid; all readings and a cell around them
+            when left out.
+
+    Raises:
+        InputError: the box or the spacing makes no sense, or the map would be too large.
+    """
+    if not 0 < spacing_m < np.inf:
+        raise InputError(f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual")
+    source = parse_crs(_WGS84 if recording.latlon is not None else recording.crs)
+    points = recording.xy_m if recording.latlon is None else recording.latlon[:, ::-1]
+    assert points is not None
+    if box is not None and recording.latlon is not None and np.abs(np.asarray(box, dtype=float)).max() <= 360:
+        bounds: Bounds = tuple(float(v) for v in box)  # type: ignore[assignment]
+    else:
+        bounds = _bounds(points)
+    target = metric_crs(source, bounds)
+    if box is not None:
+        return grid_over(box_in_metres(box, target), spacing_m, target)
+    west, south, east, north = transformed_bounds(bounds, source, target)
+    # The corners go to whole multiples of the spacing, so that maps of one area made from different recordings share their cells.
+    west, south = (np.floor(v / spacing_m) * spacing_m for v in (west, south))
+    east, north = (np.ceil(v / spacing_m) * spacing_m for v in (east, north))
+    return grid_over((west - spacing_m, south - spacing_m, east + spacing_m, north + spacing_m), spacing_m, target)
+
+
+def _bounds(points: NDArray[np.float64]) -> Bounds:
+    west, south = points.min(axis=0)
+    east, north = points.max(axis=0)
+    return float(west), float(south), float(east), float(north)
+
+
+def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
+    """``[n, (x, y)]`` of the readings in the frame of a grid with ``crs``; not finite where the projection has no such place."""
+    if recording.latlon is not None:
+        if crs is None:
+            raise InputError(
+                f"{recording.source} has latitudes, but the map has no coordinate reference system; "
+                "use a georeferenced city, or grid_for"
+            )
+        return Grid((1, 1), 1.0, crs=crs).xy_m_at_latlon(recording.latlon)
+    assert recording.xy_m is not None
+    if recording.crs == crs:
+        return recording.xy_m
+    if recording.crs is None or crs is None:
+        with_crs, without = ("the map", recording.source) if recording.crs is None else (recording.source, "the map")
+        raise InputError(
+            f"{with_crs} has a coordinate reference system and {without} has none; give both the same crs, or neither"
+        )
+    pyproj = require("pyproj", "geo")
+    x, y = pyproj.Transformer.from_crs(parse_crs(recording.crs), parse_crs(crs), always_xy=True).transform(*recording.xy_m.T)
+    return np.column_stack([x, y])
+
+
+def _cells_of(xy_m: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Cells of the points and whether each is on the map; a point off the map gets cell (0, 0)."""
+    west, south, east, north = grid.bounds_m
+    with np.errstate(invalid="ignore"):
+        near = (xy_m[:, 0] >= west) & (xy_m[:, 0] <= east) & (xy_m[:, 1] >= south) & (xy_m[:, 1] <= north)
+    cells = grid.cells_at(np.where(near[:, None], xy_m, np.asarray(grid.origin_m)))
+    on_map = near & grid.contains(cells)
+    return np.where(on_map[:, None], cells, 0), on_map
+
+
+def _all_outside(recording: Recording, grid: Grid) -> str:
+    """Why no reading lies on the map, as far as can be told."""
+    message = f"all {len(recording)} readings of {recording.source} lie outside the map"
+    if recording.latlon is None:
+        assert recording.xy_m is not None
+        lo, hi = recording.xy_m.min(axis=0), recording.xy_m.max(axis=0)
+        return (
+            f"{message}: they span x {lo[0]:.6g} to {hi[0]:.6g} and y {lo[1]:.6g} to {hi[1]:.6g} m, the map "
+            f"{tuple(round(v, 1) for v in grid.bounds_m)}; check the coordinate reference system and the box"
+        )
+    lo, hi = recording.latlon.min(axis=0), recording.latlon.max(axis=0)
+    swapped = recording.latlon[:, ::-1]
+    swapped = swapped[np.abs(swapped[:, 0]) <= 90]
+    hint = "check the box, or map the recording's own area (grid_for)"
+    if len(swapped) and _cells_of(grid.xy_m_at_latlon(swapped), grid)[1].any():
+        hint = "swapped, they lie on it: exchange the latitude and longitude columns"
+    return f"{message}: they span latitudes {lo[0]:.5f} to {hi[0]:.5f} and longitudes {lo[1]:.5f} to {hi[1]:.5f}; {hint}"
