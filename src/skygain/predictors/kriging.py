@@ -19,6 +19,7 @@ __all__ = ["KrigingBelief", "KrigingPredictor", "blind_kriging", "quadratic_krig
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,11 @@ class KrigingPredictor(Predictor):
     @property
     def transmitter(self) -> Literal["required", "optional", "unused"]:  # type: ignore[override]
         """Only the log-distance trend looks at the transmitter, and cannot do without."""
+        return "required" if self.trend == "log-distance" else "unused"
+
+    @property
+    def transmitter(self) -> Literal["required", "unused"]:  # type: ignore[override]
+        """Only the log-distance trend needs the transmitter's position."""
         return "required" if self.trend == "log-distance" else "unused"
 
     def begin(self, scenario: Scenario) -> KrigingBelief:

@@ -2,7 +2,7 @@
 
 The trend is linear in known columns h(q): m(q) = h(q)ᵀθ. Three are offered.
 
-- ``log-distance``: θ = (α, β), m(q) = α − β·log₁₀‖q − w_TX‖, the path-loss line of the paper's section VII-A. Needs the transmitter.
+- ``log-distance``: θ = (α, β), m(q) = α − β·log₁₀‖q − w_TX‖, the paper's path-loss line. Needs the transmitter.
 - ``constant``: θ = (α,).
 - ``quadratic``: a second-order polynomial in x and y about the middle of the map, in units of half its longer side.
 

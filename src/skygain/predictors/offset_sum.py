@@ -35,7 +35,7 @@ class OffsetSum:
         """``[n, P]`` sums for ``weights[n, v]`` at raveled ``cells[v]``, which may repeat."""
         rows, cols = self.shape
         images = np.zeros((len(weights), rows * cols))
-        np.add.at(images, (slice(None), cells), weights)
+        np.add.at(images.T, cells, weights.T)
         out = np.empty_like(images)
         for first in range(0, len(weights), AT_A_TIME):
             some = images[first : first + AT_A_TIME].reshape(-1, rows, cols)

@@ -93,13 +93,19 @@ def check_predictor(predictor: Predictor, scenario: Scenario | None = None, seed
         scenario: where; a small city with a known transmitter when left out. At least 12 cells must be flyable.
         seed: of the cells that are measured.
     """
-    scenario = scenario or example_scenario()
+    scenario = example_scenario() if scenario is None else scenario
     rng = np.random.default_rng(seed)
     data = _readings(scenario, 30, rng)
     n = len(data)
     assert n >= 12, f"the scenario has {n} flyable cells; the check needs at least 12"
     first, second, third = data.taken(np.arange(1)), data.taken(np.arange(1, n - 3)), data.taken(np.arange(n - 3, n))
     untouched = _columns(data)
+
+    known = ("required", "optional", "unused")
+    assert predictor.transmitter in known, f"predictor.transmitter must be one of {known}, got {predictor.transmitter!r}"
+    if predictor.transmitter != "required":
+        hidden = scenario.without_transmitter()
+        _check_posterior(predictor.begin(hidden).updated(data).posterior(), hidden, "without the transmitter")
 
     start = predictor.begin(scenario)
     assert isinstance(start, Belief), f"begin() must return a skygain.predictors.Belief, got {type(start)}"
