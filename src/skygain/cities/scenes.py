@@ -1,0 +1,121 @@
+"""Cities that come with Sionna RT: Munich, Paris around the Etoile, Florence, San Francisco and a street canyon.
+
+The height map is found by casting a ray straight down through every cell's centre: the first thing it meets is the roof (or the
+street), and a second ray that sees the ground alone says how high the street lies there. Their difference is the height above the
+local ground, so a city on hills keeps only its buildings. The city stays in the scene's own metres, without a CRS, and its name
+is ``"scene:<name>"``, so that a ray tracer can take the original mesh of `load_scene` instead of boxes made from the raster.
+"""
+
+from __future__ import annotations
+
+__all__ = ["SCENES", "load_scene", "scene_city", "scene_heights"]
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.cities.framing import Bounds, box_in_metres, grid_over
+from skygain.city import City
+from skygain.errors import InputError, require
+from skygain.grid import Grid
+
+SCENES = {
+    "munich": "ground",
+    "etoile": "Plane",
+    "florence": "ground",
+    "san_francisco": "Terrain",
+    "simple_street_canyon": "floor",
+    "simple_street_canyon_with_cars": "floor",
+}
+"""scenes that are cities, and which object of each is the ground"""
+
+_NOTHING_M = 0.1
+"""what rises less above the ground is ground: the seams of the mesh"""
+
+
+def load_scene(name: str, *, merge_shapes: bool = True) -> Any:
+    """The scene as a ``sionna.rt.Scene``, with its own mesh and materials.
+
+    Args:
+        name: one of `SCENES`, or the name of a city made from one (``"scene:munich"``).
+        merge_shapes: whether objects of one material become one, which traces faster; their names are lost.
+
+    Raises:
+        InputError: there is no such scene, or the ray tracer cannot be used here.
+    """
+    name = _known(name)
+    from skygain.propagation.llvm import activate
+
+    activate()
+    rt = require("sionna.rt", "raytrace")
+    return rt.load_scene(getattr(rt.scene, name), merge_shapes=merge_shapes)
+
+
+def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) -> City:
+    """The city of one of Sionna RT's scenes.
+
+    Args:
+        name: one of `SCENES`.
+        spacing_m: side of a cell.
+        box: (west, south, east, north) of the part wanted, in the scene's metres; the whole ground when left out.
+
+    Raises:
+        InputError: there is no such scene, the box misses it, or the map would be too large.
+    """
+    name = _known(name)
+    scene = load_scene(name, merge_shapes=False)
+    low, high = _corners(scene.objects[SCENES[name]].mi_mesh)
+    whole: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    bounds = whole if box is None else box_in_metres(box, None)
+    if bounds[0] >= whole[2] or bounds[2] <= whole[0] or bounds[1] >= whole[3] or bounds[3] <= whole[1]:
+        shown = ", ".join(f"{v:.0f}" for v in whole)
+        raise InputError(f"the box {box} misses the scene {name!r}, which covers [{shown}] m; choose a box inside it")
+    grid = grid_over(bounds, spacing_m, None)
+    top, ground = scene_heights(scene, grid, ground=SCENES[name])
+    height = np.where(top - ground < _NOTHING_M, 0.0, top - ground).astype(np.float32)
+    return City(grid=grid, height_m=height, name=f"scene:{name}")
+
+
+def scene_heights(scene: Any, grid: Grid, *, ground: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Surface and ground of a scene under each cell's centre.
+
+    Args:
+        scene: a ``sionna.rt.Scene`` loaded with ``merge_shapes=False``.
+        grid: in the scene's metres.
+        ground: name of the object that is the ground.
+
+    Returns:
+        ``[row, col]`` the highest z of anything, and ``[row, col]`` the z of the ground. Beyond the edge of the ground it is
+        continued at its lowest, and where there is nothing at all, both are that.
+    """
+    mi = require("mitsuba", "raytrace")
+    mesh = scene.objects[ground].mi_mesh
+    floor = float(_corners(mesh)[0][2])
+    ceiling = float(_corners(scene.mi_scene)[1][2]) + 1.0
+    street = _first_hit(mi.load_dict({"type": "scene", "ground": mesh}), grid, ceiling)
+    street = np.where(np.isfinite(street), street, floor)
+    surface = _first_hit(scene.mi_scene, grid, ceiling)
+    return np.where(np.isfinite(surface), np.maximum(surface, street), street), street
+
+
+def _first_hit(mi_scene: Any, grid: Grid, ceiling_m: float) -> NDArray[np.float64]:
+    """``[row, col]`` z where a ray from ``ceiling_m`` straight down first meets the scene, not finite where it does not."""
+    mi = require("mitsuba", "raytrace")
+    x, y = np.meshgrid(grid.x_m, grid.y_m)
+    origin = mi.Point3f(mi.Float(x.ravel()), mi.Float(y.ravel()), mi.Float(ceiling_m))
+    hit = mi_scene.ray_intersect_preliminary(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)))
+    depth = np.where(np.array(hit.is_valid()), np.array(hit.t, dtype=np.float64), np.inf)
+    return (ceiling_m - depth).reshape(grid.shape)
+
+
+def _corners(shape: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    box = shape.bbox()
+    return np.array(box.min, dtype=np.float64).ravel(), np.array(box.max, dtype=np.float64).ravel()
+
+
+def _known(name: str) -> str:
+    name = name.removeprefix("scene:")
+    if name not in SCENES:
+        raise InputError(f"there is no scene {name!r}; the scenes are {', '.join(SCENES)}")
+    return name
