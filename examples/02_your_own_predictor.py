@@ -1,0 +1,45 @@
+"""A predictor of your own: two methods, a public conformance check, and it flies with every planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skygain.measurements import Measurements
+from skygain.posterior import Posterior
+from skygain.predictors import PREDICTORS, Belief, Predictor
+from skygain.scenario import Scenario
+from skygain.testing import check_predictor
+
+
+@dataclass(frozen=True, eq=False)
+class MeanBelief(Belief):
+    """Every cell has the mean of all readings; a measured cell has its own."""
+
+    scenario: Scenario
+    measurements: Measurements
+
+    def updated(self, measurements: Measurements) -> MeanBelief:
+        return MeanBelief(self.scenario, self.measurements.extended(measurements))
+
+    def posterior(self) -> Posterior:
+        gain = self.measurements.gain_db
+        mean = np.full(self.scenario.grid.shape, gain.mean() if len(gain) else -130.0)
+        variance = np.full(self.scenario.grid.shape, gain.var() + 1.0 if len(gain) > 1 else 900.0)
+        rows, cols = self.measurements.cell.T
+        mean[rows, cols] = gain
+        variance[rows, cols] = self.measurements.noise_std_db**2
+        return Posterior(mean, variance)
+
+
+class MeanPredictor(Predictor):
+    """The simplest predictor there is; anything worth its name beats it."""
+
+    def begin(self, scenario: Scenario) -> MeanBelief:
+        return MeanBelief(scenario, Measurements.none())
+
+
+check_predictor(MeanPredictor())
+PREDICTORS.register("mean", MeanPredictor)
+print("known predictors now:", ", ".join(PREDICTORS))
