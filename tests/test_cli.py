@@ -103,7 +103,9 @@ def test_a_transmitter_indoors_is_refused(tmp_path: Path) -> None:
     city = open_city("7")
     cell = np.argwhere(city.height_m > 5)[0]
     x, y = city.grid.xy_m(cell)
-    done = skygain("survey", *QUICK, "--city", "7", "--propagation", "over-rooftop", "--transmitter", f"{x},{y}", "--out", tmp_path)
+    done = skygain(
+        "survey", *QUICK, "--city", "7", "--propagation", "over-rooftop", "--transmitter", f"{x},{y}", "--out", tmp_path
+    )
     assert done.returncode == 2
     assert "inside a building" in done.stderr
 
@@ -118,15 +120,17 @@ def test_an_unwritable_folder_is_refused_before_the_flight() -> None:
 def test_a_city_without_a_free_cell_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("geopandas")
     path = box_city(tmp_path / "full.geojson", 50.0)
-    done = skygain("survey", *QUICK, "--city", path, "--crs", "EPSG:32617", "--propagation", "over-rooftop", "--out", tmp_path / "out")
+    done = skygain(
+        "survey", *QUICK, "--city", path, "--crs", "EPSG:32617", "--propagation", "over-rooftop", "--out", tmp_path / "out"
+    )
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
 
 
 def test_evaluate_prints_the_table_last(tmp_path: Path) -> None:
     done = skygain(
-        "evaluate", "--predictors", "idw", "--planners", "random-waypoint", "--steps", "10", "--max-surveys", "1", "--workers", "1",
-        "--out", tmp_path,
+        "evaluate", "--predictors", "idw", "--planners", "random-waypoint", "--steps", "10", "--max-surveys", "1",
+        "--workers", "1", "--out", tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith((tmp_path / "table.md").read_text() + "\n")

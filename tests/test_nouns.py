@@ -85,7 +85,9 @@ def test_measurements_only_grow() -> None:
         both.gain_db[0] = 0.0
 
 
-@pytest.mark.parametrize("bad", [{"gain_db": [np.nan]}, {"gain_db": [np.inf]}, {"noise_std_db": -1.0}, {"cell": [(0, 0), (1, 1)]}])
+@pytest.mark.parametrize(
+    "bad", [{"gain_db": [np.nan]}, {"gain_db": [np.inf]}, {"noise_std_db": -1.0}, {"cell": [(0, 0), (1, 1)]}]
+)
 def test_measurements_refuse_bad_columns(bad: dict) -> None:
     columns = {"cell": [(0, 0)], "gain_db": [-90.0]} | bad
     with pytest.raises(InputError):
@@ -128,7 +130,9 @@ def test_registry_names_what_it_knows() -> None:
 
 def test_importing_the_core_loads_nothing_heavy() -> None:
     heavy = ["torch", "numba", "sionna", "mitsuba", "matplotlib", "rasterio", "xarray", "pandas", "geopandas"]
-    core = "skygain.survey, skygain.cli, skygain.predictors, skygain.planners, skygain.instruments, skygain.cities, skygain.testing"
+    core = (
+        "skygain.survey, skygain.cli, skygain.predictors, skygain.planners, skygain.instruments, skygain.cities, skygain.testing"
+    )
     code = f"import sys, {core}; print([m for m in {heavy} if m in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"

@@ -141,13 +141,25 @@ def test_spread_starts_are_distinct_and_free(rng: np.random.Generator) -> None:
     assert setting.flyable[cells[:, 0], cells[:, 1]].all()
 
 
-@pytest.mark.parametrize(("kind", "n", "message"), [("cluster", 26, "fewer than"), ("spread", 26, "fewer than"), ("ring", 2, "unknown start"), ("spread", 0, "at least one")])
+@pytest.mark.parametrize(
+    ("kind", "n", "message"),
+    [("cluster", 26, "fewer than"), ("spread", 26, "fewer than"), ("ring", 2, "unknown start"), ("spread", 0, "at least one")],
+)
 def test_impossible_starts_are_refused(kind: str, n: int, message: str, rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match=message):
         start_cells(kind, scenario(), n, rng)
 
 
-@pytest.mark.parametrize(("cells", "steps", "message"), [([(9, 9)], 5, "off the map"), ([(1, 1)], 5, "inside a building"), ([(0, 0), (0, 0)], 5, "share"), ([(0, 0)], -1, "0 or more"), ([], 5, "at least one")])
+@pytest.mark.parametrize(
+    ("cells", "steps", "message"),
+    [
+        ([(9, 9)], 5, "off the map"),
+        ([(1, 1)], 5, "inside a building"),
+        ([(0, 0), (0, 0)], 5, "share"),
+        ([(0, 0)], -1, "0 or more"),
+        ([], 5, "at least one"),
+    ],
+)
 def test_impossible_deployments_are_refused(cells: list, steps: int, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Swarm.deployed(scenario([(1, 1)]), cells, steps)

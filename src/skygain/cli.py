@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -88,17 +88,33 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
+def _box(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"cannot read the box {text!r}; write west,south,east,north") from None
+    return west, south, east, north
+
+
 @app.command()
 def survey(
     city: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="What to fly over: 'sample' or 'sample:LINK' (traced links in the package), a data set PATH.zarr.zip[:LINK], a seed "
-            "of a Manhattan city, a height raster (.tif), footprints (.geojson, .gpkg, .shp, .osm), or a Sionna scene name."
+            "of a Manhattan city, a height raster (.tif), footprints (.geojson, .gpkg, .shp, .osm), or a Sionna scene name. "
+            "'sample' when left out."
         ),
-    ] = "sample",
-    transmitter: Annotated[str, typer.Option(help="'random', or x,y[,z] in the city's metres.")] = "random",
-    predictor: Annotated[str, typer.Option(help="Predictor, with options as name:key=value; +tx tells it the transmitter.")] = "kriging",
+    ] = None,
+    transmitter: Annotated[
+        str,
+        typer.Option(help="'random', or x,y[,z] in the city's metres; for a recording also latitude,longitude[,z], if known."),
+    ] = "random",
+    predictor: Annotated[
+        str, typer.Option(help="Predictor, with options as name:key=value; +tx tells it the transmitter.")
+    ] = "kriging",
     planner: Annotated[str, typer.Option(help="Planner, with options as name:key=value.")] = "greedy-variance",
     uavs: Annotated[int, typer.Option(help="How many UAVs.")] = 3,
     steps: Annotated[int, typer.Option(help="Moves per UAV.")] = 200,
@@ -106,27 +122,38 @@ def survey(
     altitude: Annotated[float, typer.Option(help="Altitude of flight and prediction, metres above the street.")] = 10.0,
     noise_db: Annotated[float, typer.Option(help="Standard deviation of Gaussian measurement noise.")] = 0.0,
     stop_std: Annotated[
-        Optional[float], typer.Option(help="Stop early once the mean predictive standard deviation outdoors is below this (dB).")
+        float | None, typer.Option(help="Stop early once the mean predictive standard deviation outdoors is below this (dB).")
     ] = None,
     seed: Annotated[int, typer.Option(help="Draws the crop, the transmitter, the start and the planner's randomness.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("surveys/latest"),
     overwrite: Annotated[bool, typer.Option(help="Replace results that are already in --out.")] = False,
     propagation: Annotated[
-        str, typer.Option(help="Truth of a city that brings none: union (ray tracing and over-rooftop), raytrace, over-rooftop, gudmundson.")
+        str,
+        typer.Option(
+            help="Truth of a city that brings none: union (ray tracing and over-rooftop), raytrace, over-rooftop, gudmundson."
+        ),
     ] = "union",
     frequency_ghz: Annotated[float, typer.Option(help="Carrier frequency.")] = 5.0,
     crop: Annotated[int, typer.Option(help="Side in cells of a random window to survey; 0 for the whole map.")] = 96,
-    spacing: Annotated[float, typer.Option(help="Cell size in metres for cities from files and scenes.")] = 4.0,
-    crs: Annotated[Optional[str], typer.Option(help="Coordinate reference system of a city file that names none, e.g. EPSG:32617.")] = None,
+    spacing: Annotated[
+        float | None, typer.Option(help="Cell size in metres for cities from files, scenes and recordings (4 when left out).")
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Coordinate reference system of a city file that names none, e.g. EPSG:32617.")
+    ] = None,
     record_every: Annotated[int, typer.Option(help="Keep the map for the report every this many steps.")] = 5,
     min_distance: Annotated[float, typer.Option(help="Least distance between two UAVs, metres.")] = 0.0,
     allow_sharing: Annotated[bool, typer.Option(help="Let UAVs share cells (separation is on otherwise).")] = False,
     return_to_start: Annotated[bool, typer.Option(help="Every UAV must be able to fly back to its start.")] = False,
-    replay: Annotated[Optional[Path], typer.Option(help="Map a recorded campaign (CSV) instead of a simulated world.")] = None,
-    level: Annotated[Optional[str], typer.Option(help="Column of the recording that holds the level (guessed when left out).")] = None,
-    where: Annotated[Optional[str], typer.Option(help="Rows of the recording to use, e.g. PCI=A,device=Samsung.")] = None,
-    known_transmitter: Annotated[
-        Optional[str], typer.Option(help="For a recording: transmitter latitude,longitude[,height] if known.")
+    replay: Annotated[Path | None, typer.Option(help="Map a recorded campaign (CSV) instead of a simulated world.")] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Columns of the recording that are not guessed right, e.g. level=RSRP,latitude=phi.")
+    ] = None,
+    where: Annotated[str | None, typer.Option(help="Rows of the recording to use, e.g. PCI=A,device=Samsung.")] = None,
+    eirp_dbm: Annotated[float | None, typer.Option(help="Radiated power of a recorded transmitter: turns dBm into gain.")] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(help="west,south,east,north of the part to survey, in degrees or metres (city files, recordings)."),
     ] = None,
 ) -> None:
     """Fly one survey and write maps, tables, pictures and a report."""
@@ -154,9 +181,10 @@ def survey(
         separate=not allow_sharing,
         return_to_start=return_to_start,
         replay=str(replay) if replay else None,
-        level_column=level,
+        columns=columns,
         where=where,
-        known_transmitter=known_transmitter,
+        eirp_dbm=eirp_dbm,
+        box=_box(box),
     )
     with _progress("survey") as tell:
         summary = run_survey(request, out, overwrite=overwrite, progress=tell)
@@ -166,7 +194,9 @@ def survey(
 @app.command()
 def evaluate(
     predictors: Annotated[str, typer.Option(help="Predictors, separated by commas.")] = "kriging",
-    planners: Annotated[str, typer.Option(help="Planners, separated by commas; every predictor flies with every planner.")] = "random-waypoint",
+    planners: Annotated[
+        str, typer.Option(help="Planners, separated by commas; every predictor flies with every planner.")
+    ] = "random-waypoint",
     data: Annotated[str, typer.Option(help="Data set (PATH.zarr.zip), or 'sample'.")] = "sample",
     split: Annotated[str, typer.Option(help="T1, T2, T3 or T4.")] = "T4",
     uavs: Annotated[int, typer.Option(help="How many UAVs.")] = 3,
@@ -174,15 +204,15 @@ def evaluate(
     start: Annotated[str, typer.Option(help="cluster or spread.")] = "cluster",
     altitude: Annotated[float, typer.Option(help="Altitude of flight and prediction, metres.")] = 10.0,
     noise_db: Annotated[float, typer.Option(help="Standard deviation of Gaussian measurement noise.")] = 0.0,
-    max_surveys: Annotated[Optional[int], typer.Option(help="At most this many surveys, spread over the cities.")] = None,
+    max_surveys: Annotated[int | None, typer.Option(help="At most this many surveys, spread over the cities.")] = None,
     record_every: Annotated[int, typer.Option(help="Score every this many steps.")] = 25,
     min_distance: Annotated[float, typer.Option(help="Least distance between two UAVs, metres.")] = 0.0,
     allow_sharing: Annotated[bool, typer.Option(help="Let UAVs share cells (separation is on otherwise).")] = False,
-    workers: Annotated[Optional[int], typer.Option(help="Processes; one per core when left out.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; one per core when left out.")] = None,
     seed: Annotated[int, typer.Option(help="Draws crops, starts and the planners' randomness.")] = 0,
-    out: Annotated[Path, typer.Option(help="Folder for rollouts, results.json, table.md and the figure; resumes what is there.")] = Path(
-        "surveys/evaluation"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder for rollouts, results.json, table.md and the figure; resumes what is there.")
+    ] = Path("surveys/evaluation"),
 ) -> None:
     """Compare methods over many surveys, paired, with intervals; the table is the last thing printed."""
     from skygain.evaluation.comparison import ComparisonConfig
@@ -241,11 +271,16 @@ def dataset_build(
 ) -> None:
     """Generate cities and trace their transmitters; can be killed at any time and goes on where it stopped."""
     from skygain.datasets.builder import build_dataset
-    from skygain.datasets.store import describe_dataset
+    from skygain.datasets.summary import describe_dataset
 
     with _progress("cities") as tell:
         build_dataset(
-            preset, out, workers=workers, resume=resume, propagation=propagation, progress=lambda done, total, _left: tell(done, total, "")
+            preset,
+            out,
+            workers=workers,
+            resume=resume,
+            propagation=propagation,
+            progress=lambda done, total, _left: tell(done, total, ""),
         )
     print(describe_dataset(out))
 
@@ -253,7 +288,7 @@ def dataset_build(
 @dataset_app.command("info")
 def dataset_info(path: Annotated[Path, typer.Argument(help="A data set, PATH.zarr.zip.")]) -> None:
     """Say what a data set holds."""
-    from skygain.datasets.store import describe_dataset
+    from skygain.datasets.summary import describe_dataset
 
     print(describe_dataset(path))
 

@@ -39,14 +39,16 @@ class Measurements:
     """``[n]`` the receiver was at its floor: the true gain is ``gain_db`` or less"""
 
     def __post_init__(self) -> None:
-        dtypes = dict(cell=np.int64, gain_db=float, noise_std_db=float, time_s=float, uav=np.int64, censored=bool)
+        dtypes = {"cell": np.int64, "gain_db": float, "noise_std_db": float, "time_s": float, "uav": np.int64, "censored": bool}
         length = len(np.asarray(self.gain_db))
         for name, dtype in dtypes.items():
             column = np.array(getattr(self, name), dtype=dtype)
             if name == "cell":
                 column = column.reshape(-1, 2)
             if len(column) != length:
-                raise InputError(f"measurement columns must be of equal length: gain_db has {length} rows, {name} has {len(column)}")
+                raise InputError(
+                    f"measurement columns must be of equal length: gain_db has {length} rows, {name} has {len(column)}"
+                )
             column.flags.writeable = False
             object.__setattr__(self, name, column)
         if not np.isfinite(self.gain_db).all():

@@ -89,7 +89,9 @@ def check_transmitter(city: City, transmitter_m: tuple[float, float, float]) -> 
     """Raise `InputError` if the transmitter is not three finite numbers or stands inside a building of the map."""
     position = np.asarray(transmitter_m, dtype=float)
     if position.shape != (3,) or not np.isfinite(position).all():
-        raise InputError(f"a transmitter position is three finite numbers x, y, z in metres, got {transmitter_m}; give e.g. 120,80,1.5")
+        raise InputError(
+            f"a transmitter position is three finite numbers x, y, z in metres, got {transmitter_m}; give e.g. 120,80,1.5"
+        )
     cell = city.grid.cells_at(position[:2])
     if city.grid.contains(cell) and city.height_m[tuple(cell)] >= position[2] and city.height_m[tuple(cell)] > 0:
         raise InputError(

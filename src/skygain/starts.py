@@ -24,7 +24,7 @@ def cluster_start(scenario: Scenario, n_uavs: int, rng: np.random.Generator, sid
         InputError: no such square was found.
     """
     rows, cols = scenario.grid.shape
-    side = min(max(1, int(round(side_m / scenario.grid.spacing_m))), rows, cols)
+    side = min(max(1, round(side_m / scenario.grid.spacing_m)), rows, cols)
     for _ in range(1000):
         row, col = int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
         window = scenario.flyable[row : row + side, col : col + side]
@@ -35,7 +35,7 @@ def cluster_start(scenario: Scenario, n_uavs: int, rng: np.random.Generator, sid
         if len(part) >= n_uavs:
             return part[rng.choice(len(part), n_uavs, replace=False)] + (row, col)
     raise InputError(
-        f"found no {side_m:g} m square with {n_uavs} connected free cells for {n_uavs} UAVs; use fewer UAVs, start 'spread' or fly higher"
+        f"found no {side_m:g} m square with {n_uavs} connected free cells, one per UAV; use fewer UAVs, start 'spread' or fly higher"
     )
 
 

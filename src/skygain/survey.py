@@ -35,7 +35,9 @@ class SurveyConfig:
 
     def __post_init__(self) -> None:
         if self.stop_std_db is not None and not self.stop_std_db > 0:
-            raise InputError(f"the stopping standard deviation must be above 0 dB, got {self.stop_std_db}; leave it out to fly every step")
+            raise InputError(
+                f"the stopping standard deviation must be above 0 dB, got {self.stop_std_db}; leave it out to fly every step"
+            )
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,9 @@ class Survey:
                 planning_s, certificate = time.perf_counter() - began, plan.certificate
                 planned = plan.n_steps
                 if not 1 <= plan.commit_steps <= planned:
-                    raise ValueError(f"a plan of {planned} steps commits to {plan.commit_steps}; it must fly 1 to {planned} of them")
+                    raise ValueError(
+                        f"a plan of {planned} steps commits to {plan.commit_steps}; it must fly 1 to {planned} of them"
+                    )
                 for cells in plan.paths.transpose(1, 0, 2)[1 : plan.commit_steps + 1]:
                     swarm = swarm.advanced(cells)
                     belief, readings, record = self._measured(belief, readings, swarm, planning_s, planned, certificate)

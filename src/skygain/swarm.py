@@ -88,7 +88,9 @@ class Swarm:
             raise InputError(f"steps must be 0 or more, got {int(steps_left.min())}; give the number of moves each UAV may make")
         off = ~scenario.grid.contains(cells)
         if off.any():
-            raise InputError(f"UAV start {tuple(cells[off][0].tolist())} is off the map of {scenario.grid.shape} cells; start inside it")
+            raise InputError(
+                f"UAV start {tuple(cells[off][0].tolist())} is off the map of {scenario.grid.shape} cells; start inside it"
+            )
         blocked = ~scenario.flyable[cells[:, 0], cells[:, 1]]
         if blocked.any():
             raise InputError(
@@ -146,8 +148,8 @@ class Swarm:
     ) -> Cells:
         """``[k, (row, col)]`` cells that ``uav`` may move to while the others hold ``now`` and some have already ``decided``.
 
-        Move the UAVs one after another, adding each choice to ``decided``. Cells that an undecided UAV holds are left free for it,
-        so a UAV that finds no legal move can always hover where it is: an empty answer means hover.
+        Move the UAVs one after another, adding each choice to ``decided``. Cells that an undecided UAV holds are left free for
+        it, so a UAV that finds no legal move can always hover where it is: an empty answer means hover.
         """
         now_cells = self.cells if now is None else np.asarray(now)
         left = self.steps_left if steps_left is None else np.asarray(steps_left)
@@ -211,7 +213,9 @@ class Swarm:
                 if not self.flyable[cell]:
                     raise ValueError(f"{where} enters {cell}, which is a building or a no-fly cell")
                 if self.home_steps is not None and not 0 <= self.home_steps[uav][cell] <= left[uav] - 1:
-                    raise ValueError(f"{where} goes to {cell}, too far to return to its start with {int(left[uav]) - 1} steps left")
+                    raise ValueError(
+                        f"{where} goes to {cell}, too far to return to its start with {int(left[uav]) - 1} steps left"
+                    )
                 if moved == 0 and not self._boxed_in(uav, now, then, flying, int(left[uav])):
                     raise ValueError(f"{where} hovers at {cell} although a move is free; a UAV moves while it has steps left")
             problem = self._conflict(now, then, flying)
@@ -240,7 +244,9 @@ class Swarm:
                     if (then[first] == then[second]).all():
                         return f"UAVs {first} and {second} share cell {tuple(then[first].tolist())}"
                     if (then[first] == now[second]).all() and (then[second] == now[first]).all():
-                        return f"UAVs {first} and {second} swap cells {tuple(now[first].tolist())} and {tuple(now[second].tolist())}"
+                        return (
+                            f"UAVs {first} and {second} swap cells {tuple(now[first].tolist())} and {tuple(now[second].tolist())}"
+                        )
                 gap = float(np.hypot(*(then[first] - then[second]))) * self.spacing_m
                 if gap < self.rules.min_distance_m - 1e-9:
                     return f"UAVs {first} and {second} come within {gap:.1f} m, less than {self.rules.min_distance_m:g} m"

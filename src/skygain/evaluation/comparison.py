@@ -62,7 +62,7 @@ class ComparisonConfig:
     """score every this many steps, and at the end"""
     noise_db: float = 0.0
     """standard deviation of Gaussian measurement noise"""
-    rules: FlightRules = FlightRules()
+    rules: FlightRules = FlightRules()  # noqa: RUF009 - frozen
     """separation, the same for every planner compared"""
     seed: int = 0
     """draws the crops, the starts and the planners' randomness"""
@@ -138,9 +138,7 @@ def _run(config: ComparisonConfig, index: int, method: MethodSpec) -> dict[str, 
         def noisy(truth, rng):  # type: ignore[no-untyped-def,misc]
             return NoisyInstrument(truth, noise, rng)
 
-    outcome = rollout(
-        case, method, steps=config.steps, record_steps=config.record_steps, rules=config.rules, instrument=noisy
-    )
+    outcome = rollout(case, method, steps=config.steps, record_steps=config.record_steps, rules=config.rules, instrument=noisy)
     return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
@@ -188,7 +186,9 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
         method.build_planner()
     cases = _config_cases(config)
     if not cases:
-        raise InputError(f"split {config.split} of {config.data} has no transmitter at {config.altitude_m:g} m; choose another split")
+        raise InputError(
+            f"split {config.split} of {config.data} has no transmitter at {config.altitude_m:g} m; choose another split"
+        )
     if workers is not None and workers < 1:
         raise InputError(f"workers must be 1 or more, got {workers}")
     journal = out / "rollouts.jsonl"

@@ -20,7 +20,9 @@ def _milestones(steps: list[int]) -> list[int]:
     return sorted({int(np.argmin([abs(s - w) for s in steps])) for w in wanted})
 
 
-def curve_intervals(comparison: Comparison, score: str = "rmse_db") -> dict[str, tuple[list[int], list[float], list[float], list[float]]]:
+def curve_intervals(
+    comparison: Comparison, score: str = "rmse_db"
+) -> dict[str, tuple[list[int], list[float], list[float], list[float]]]:
     """``{label: (steps, mean, low, high)}`` of a score over the recorded steps, for the figure."""
     curves = {}
     for label, named in comparison.scores.items():
@@ -148,9 +150,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         for i, a in enumerate(labels)
         for b in labels[:i]
     ]
-    saved = [
-        {"predictor": p, "planner": a, "rival": b, "flight_saved": ratio} for p, a, b, ratio in _flight_rows(comparison)
-    ]
+    saved = [{"predictor": p, "planner": a, "rival": b, "flight_saved": ratio} for p, a, b, ratio in _flight_rows(comparison)]
     return {
         "config": asdict(comparison.config),
         "surveys": len(comparison.cities),

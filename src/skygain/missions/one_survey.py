@@ -36,8 +36,8 @@ Progress = Callable[[int, int, str], None]
 class SurveyRequest:
     """What `skygain survey` was asked for."""
 
-    city: str = "sample"
-    """see `skygain.missions.world.open_world`"""
+    city: str | None = None
+    """see `skygain.missions.world.open_world`; ``None`` is the packaged sample, or open ground under a recording"""
     transmitter: str = "random"
     """``"random"`` or ``"x,y[,z]"`` in metres"""
     predictor: str = "kriging"
@@ -64,10 +64,12 @@ class SurveyRequest:
     """carrier frequency"""
     crop: int | None = 96
     """side in cells of a random window to survey, ``None`` for the whole map"""
-    spacing_m: float = 4.0
-    """cell size for cities from files and scenes, and for recordings"""
+    spacing_m: float | None = None
+    """cell size for cities from files and scenes, and for recordings; ``None`` takes the source's own, or 4 m"""
     crs: str | None = None
-    """coordinate reference system of a city file that names none"""
+    """coordinate reference system of a city file or recording that names none"""
+    box: tuple[float, float, float, float] | None = None
+    """(west, south, east, north) of the part of a city file, scene or recording to survey, in degrees or metres"""
     record_every: int = 5
     """keep the map every this many steps"""
     min_distance_m: float = 0.0
@@ -78,12 +80,12 @@ class SurveyRequest:
     """every UAV must be able to fly back"""
     replay: str | None = None
     """CSV of a recorded campaign, mapped instead of a simulated world"""
-    level_column: str | None = None
-    """column of the recording that holds the level, guessed when ``None``"""
+    columns: str | None = None
+    """columns of the recording that cannot be guessed, ``"level=RSRP,latitude=phi"``"""
     where: str | None = None
     """rows of the recording to use, ``"column=value,…"``"""
-    known_transmitter: str | None = None
-    """for a recording: ``"latitude,longitude[,height]"`` of the transmitter"""
+    eirp_dbm: float | None = None
+    """radiated power of a recorded transmitter, which turns dBm into gain"""
 
     def __post_init__(self) -> None:
         if self.uavs < 1:
@@ -116,7 +118,7 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
 
     world_seed, noise_seed = seeds.spawn(2)
     world = open_world(
-        request.city,
+        request.city or "sample",
         transmitter=request.transmitter,
         altitude_m=request.altitude_m,
         propagation=request.propagation,
@@ -124,6 +126,7 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
         crop=request.crop,
         spacing_m=request.spacing_m,
         crs=request.crs,
+        box=request.box,
         rng=np.random.default_rng(world_seed),
     )
     scenario = Scenario(
@@ -139,23 +142,45 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
     return _Setting(scenario, instrument, world.truth_db, world.ray_traced, world.transmitter_m, f"Survey of {world.city.name}")
 
 
-def _replayed(request: SurveyRequest) -> _Setting:
-    from skygain.missions.replay import open_replay
+def _pairs(text: str | None, option: str) -> dict[str, str]:
+    """``"a=1,b=2"`` as a dictionary."""
+    pairs = [part.partition("=") for part in text.split(",")] if text else []
+    if not all(key.strip() and sign for key, sign, _ in pairs):
+        raise InputError(f"cannot read {option} {text!r}; write name=value,name=value")
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
-    replay = open_replay(
-        Path(str(request.replay)),
-        level=request.level_column,
-        where=request.where,
-        spacing_m=request.spacing_m,
-        altitude_m=request.altitude_m,
-        frequency_hz=request.frequency_hz,
-        transmitter=request.known_transmitter,
+
+def _replayed(request: SurveyRequest) -> _Setting:
+    from skygain.instruments.gridded import grid_for
+    from skygain.instruments.recording import read_recording
+    from skygain.instruments.replay import ReplayInstrument, replay_scenario, replay_truth
+    from skygain.missions.world import parse_position
+
+    recording = read_recording(
+        str(request.replay),
+        columns=_pairs(request.columns, "--columns"),
+        where=_pairs(request.where, "--where"),
+        eirp_dbm=request.eirp_dbm,
         crs=request.crs,
     )
-    name = Path(str(request.replay)).name
-    return _Setting(
-        replay.scenario, replay.instrument, replay.truth_db, None, replay.scenario.transmitter_m, f"Recorded campaign {name}"
+    city = None
+    if request.city is not None:
+        from skygain.cities import open_city
+
+        city = open_city(request.city, spacing_m=request.spacing_m, crs=request.crs, box=request.box)
+    grid = city.grid if city else grid_for(recording, request.spacing_m or 4.0, request.box)
+    gridded = recording.on(grid)
+    transmitter = None
+    if request.transmitter != "random":
+        x, y, z = parse_position(request.transmitter)
+        if grid.crs is not None and abs(x) <= 90 and abs(y) <= 180:  # degrees: no projected position is that near its origin
+            x, y = grid.xy_m_at_latlon((x, y)).tolist()
+        transmitter = (x, y, z)
+    scenario = replay_scenario(
+        gridded, city, uav_altitude_m=request.altitude_m, transmitter_m=transmitter, frequency_hz=request.frequency_hz
     )
+    title = f"Recorded campaign {Path(str(request.replay)).name}, {len(gridded)} cells"
+    return _Setting(scenario, ReplayInstrument(gridded), replay_truth(gridded), None, transmitter, title)
 
 
 def run_survey(request: SurveyRequest, out: Path, *, overwrite: bool = False, progress: Progress | None = None) -> str:
@@ -214,8 +239,8 @@ def run_survey(request: SurveyRequest, out: Path, *, overwrite: bool = False, pr
 def _need_transmitter(scenario: Scenario, predictor: Predictor, request: SurveyRequest) -> None:
     if predictor.transmitter == "required" and scenario.transmitter_m is None:
         raise InputError(
-            f"predictor {request.predictor!r} must be told where the transmitter is; give --known-transmitter, or choose one that "
-            "does without, such as kriging-blind"
+            f"predictor {request.predictor!r} must be told where the transmitter is; give --transmitter, or choose one that does "
+            "without, such as kriging-blind"
         )
 
 
@@ -272,5 +297,7 @@ def _summary(result: SurveyResult, outcome: Outcome, notes: list[str], out: Path
             f"90 % interval covers {scores['coverage90']:.0%}, goodness of fit {scores['gof']:+.2f}"
         )
     delays = delays_ms(result.journal)
-    lines.append(f"planning {delays['decision_ms_median']:.1f} ms per decision, belief update {delays['update_ms_median']:.1f} ms (median)")
+    lines.append(
+        f"planning {delays['decision_ms_median']:.1f} ms per decision, belief update {delays['update_ms_median']:.1f} ms (median)"
+    )
     return "\n".join([*lines, *notes, f"report: {out / 'report.html'}"])

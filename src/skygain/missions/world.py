@@ -88,14 +88,18 @@ def _dataset_and_link(spec: str) -> tuple[ChannelDataset, int | None] | None:
     return None
 
 
-def _dataset_world(dataset: ChannelDataset, number: int | None, altitude_m: float, crop: int | None, rng: np.random.Generator) -> World:
+def _dataset_world(
+    dataset: ChannelDataset, number: int | None, altitude_m: float, crop: int | None, rng: np.random.Generator
+) -> World:
     links = [i for split in ("T1", "T2", "T3", "T4") for i in dataset.links(split, altitude_m)]
     if not links:
         raise InputError(f"that data set has no map at {altitude_m:g} m; choose an altitude it holds (skygain dataset info)")
     if number is None:
         number = links[int(rng.integers(len(links)))]
     if number not in links:
-        raise InputError(f"that data set has no link {number} at {altitude_m:g} m; it has {len(links)}, from {min(links)} to {max(links)}")
+        raise InputError(
+            f"that data set has no link {number} at {altitude_m:g} m; it has {len(links)}, from {min(links)} to {max(links)}"
+        )
     link: Link = dataset.link(number, altitude_m)
     row, col, window = _crop_corner(link.city.grid.shape, crop, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
@@ -115,8 +119,9 @@ def open_world(
     propagation: str = "union",
     frequency_hz: float = 5e9,
     crop: int | None = PROTOCOL_CROP,
-    spacing_m: float = 4.0,
+    spacing_m: float | None = None,
     crs: str | None = None,
+    box: tuple[float, float, float, float] | None = None,
     rng: np.random.Generator,
 ) -> World:
     """The world named ``spec``.
@@ -140,14 +145,16 @@ def open_world(
     found = _dataset_and_link(spec)
     if found is not None:
         if transmitter != "random":
-            raise InputError("the links of a data set bring their own transmitter; leave --transmitter out or choose another city")
+            raise InputError(
+                "the links of a data set bring their own transmitter; leave --transmitter out or choose another city"
+            )
         return _dataset_world(*found, altitude_m, crop, rng)
 
     from skygain.cities import open_city
     from skygain.propagation import PROPAGATION
 
     model = PROPAGATION.factory(propagation)
-    city = open_city(spec, spacing_m=spacing_m, crs=crs)
+    city = open_city(spec, spacing_m=spacing_m, crs=crs, box=box)
     if transmitter == "random":
         position = _random_transmitter(city, rng)
     else:
