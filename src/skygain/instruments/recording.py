@@ -377,7 +377,7 @@ def _checked_crs(crs: str | None, geographic: bool, name: str) -> str | None:
 def _seconds(texts: Sequence[str], column: str, *, explicit: bool) -> NDArray[np.float64] | None:
     """Seconds since the earliest, from numbers (milliseconds by name or size) or ISO 8601; ``None`` if a guess cannot be read."""
     numbers = np.array([_number(text, False) for text in texts])
-    if np.isfinite(numbers).all():
+    if (np.abs(numbers) < 1e15).all():  # NaN, where a text is no number, fails this too
         # Seconds since 1970 reach 1e11 in the year 5138.
         in_ms = column.casefold().endswith(("ms", "millis")) or numbers.min() > 1e11
         return (numbers - numbers.min()) / (1000.0 if in_ms else 1.0)

@@ -159,7 +159,7 @@ def _links(near: NDArray[np.bool_], free: NDArray[np.bool_]) -> NDArray[np.bool_
     steps, previous, nearest = dijkstra(
         graph, directed=False, indices=np.flatnonzero(near), unweighted=True, return_predecessors=True, min_only=True
     )
-    owner = np.where(nearest >= 0, parts.ravel()[nearest], 0)
+    owner = np.where(nearest >= 0, parts.ravel()[np.maximum(nearest, 0)], 0)
     border = (owner[a] != owner[b]) & (owner[a] > 0) & (owner[b] > 0)
     a, b = a[border], b[border]
     length = steps[a] + steps[b] + 1

@@ -1,0 +1,177 @@
+"""Whatever bytes a file holds, the reader gives a sound recording or says in one line why not."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from skygain.errors import InputError
+from skygain.grid import Grid
+from skygain.instruments import GriddedRecording, grid_for, read_recording
+from skygain.instruments.recording import MAX_LEVEL_DB
+
+NAMES = st.sampled_from(
+    [
+        "lat",
+        "lon",
+        "Latitude",
+        "longitude",
+        "x",
+        "y",
+        "rsrp",
+        "rsrp",
+        "RSSI",
+        "path_loss",
+        "gain_db",
+        "time",
+        "censored",
+        "noise_std_db",
+        "PCI",
+        "",
+    ]
+)
+FIELDS = st.one_of(
+    st.floats(-200, 200).map(lambda v: f"{v:.5g}"),
+    st.integers(-180, 180).map(str),
+    st.sampled_from(
+        [
+            "",
+            "nan",
+            "inf",
+            "-inf",
+            "1e400",
+            "1_0",
+            "0",
+            "1",
+            "-90,5",
+            '"',
+            "'",
+            "a;b",
+            "2147483647",
+            "NULL",
+            "\x00",
+            "٣",
+            "2024-05-01",
+        ]
+    ),
+    st.text(max_size=6),
+)
+LINES = st.lists(FIELDS, max_size=7)
+OPTIONS = st.fixed_dictionaries(
+    {},
+    optional={
+        "skip_bad": st.booleans(),
+        "eirp_dbm": st.one_of(st.none(), st.floats()),
+        "quantity": st.sampled_from([None, "power", "gain", "loss", "watts"]),
+        "where": st.dictionaries(st.sampled_from(["PCI", "lat", "nothing"]), st.sampled_from(["", "1", 1, "A"]), max_size=2),
+        "columns": st.dictionaries(st.sampled_from(["level", "latitude", "x", "time", "colour"]), NAMES, max_size=2),
+        "crs": st.sampled_from([None, "local", "EPSG:32617", "EPSG:4326", "nonsense"]),
+    },
+)
+
+
+def outcome(content: bytes, options: dict) -> None:
+    """Read ``content`` and check that the recording, if there is one, is sound and can be brought onto a map or is refused."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "garbage.csv"
+        path.write_bytes(content)
+        recording, message = None, ""
+        try:
+            recording = read_recording(path, **options)
+        except InputError as error:
+            message = str(error)
+    event("read" if recording else f"refused: {message.split(';')[0][:30]}")
+    if recording is None:
+        assert message
+        assert "\n" not in message
+        return
+    n = len(recording)
+    assert n >= 1
+    assert np.isfinite(recording.level_db).all()
+    assert (np.abs(recording.level_db) <= 2 * MAX_LEVEL_DB).all()
+    assert recording.quantity in ("power", "gain")
+    assert (recording.latlon is None) != (recording.xy_m is None)
+    position = recording.latlon if recording.xy_m is None else recording.xy_m
+    assert position.shape == (n, 2)
+    assert np.isfinite(position).all()
+    if recording.latlon is not None:
+        assert (np.abs(recording.latlon[:, 0]) <= 90).all()
+    assert recording.line.shape == (n,)
+    assert (np.diff(recording.line) > 0).all()
+    for column in (recording.time_s, recording.noise_std_db, recording.censored):
+        assert column is None or (column.shape == (n,) and np.isfinite(column).all())
+    for make_grid in (lambda: Grid((20, 20), 20.0, (-200.0, -200.0), crs=recording.crs), lambda: grid_for(recording, 50.0)):
+        try:
+            gridded = recording.on(make_grid())
+        except InputError:
+            continue
+        sound(gridded, n)
+
+
+def sound(gridded: GriddedRecording, n: int) -> None:
+    """Check the values of cells made from ``n`` readings."""
+    assert gridded.count.sum() + gridded.outside == n
+    assert np.isfinite(gridded.level_db).all()
+    assert (gridded.noise_std_db >= 0).all()
+    assert len(gridded.measurements()) == len(gridded)
+
+
+@settings(max_examples=250, deadline=None)
+@given(content=st.binary(max_size=300), options=OPTIONS)
+def test_random_bytes(content, options):
+    outcome(content, options)
+
+
+@settings(max_examples=250, deadline=None)
+@given(header=st.binary(max_size=60), options=OPTIONS)
+def test_random_bytes_below_a_good_header(header, options):
+    outcome(b"lat,lon,rsrp\n36,-78,-90\n" + header, options)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    header=st.lists(NAMES, min_size=1, max_size=7),
+    lines=st.lists(LINES, max_size=6),
+    sep=st.sampled_from([",", ";", "\t"]),
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    mark=st.booleans(),
+    options=OPTIONS,
+)
+def test_random_tables(header, lines, sep, end, mark, options):
+    text = end.join([sep.join(header), *(sep.join(line) for line in lines)])
+    outcome((b"\xef\xbb\xbf" if mark else b"") + text.encode(errors="surrogatepass"), options)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    rows=st.lists(st.tuples(st.floats(), st.floats(), st.floats()), min_size=1, max_size=8),
+    names=st.sampled_from(["lat,lon,rsrp", "x,y,gain", "x,y,path_loss"]),
+    skip_bad=st.booleans(),
+)
+def test_numbers_of_any_size(rows, names, skip_bad):
+    text = names + "\n" + "\n".join(",".join(map(repr, row)) for row in rows)
+    outcome(text.encode(), {"skip_bad": skip_bad})
+
+
+GOOD = {
+    "lat,lon,rsrp": ("35.{0}", "-78.{0}", "-9{0}.5"),
+    "x,y,path_loss,time": ("{0}0", "-{0}5", "1{0}0", "{0}.5"),
+    "x_m,y_m,gain_db,noise_std_db,censored": ("{0}00", "{0}", "-1{0}0", "0.{0}", "1"),
+    "PCI,lat,lon,rssi": ("A", "36.0{0}", "-78.9{0}", "-7{0}"),
+}
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data(), header=st.sampled_from(sorted(GOOD)), skip_bad=st.booleans(), sep=st.sampled_from([",", ";"]))
+def test_damaged_campaigns(data, header, skip_bad, sep):
+    lines = [header.split(",")]
+    for digit in data.draw(st.lists(st.integers(0, 9), min_size=1, max_size=8)):
+        lines.append([field.format(digit) for field in GOOD[header]])
+    for _ in range(data.draw(st.integers(0, 3))):
+        line = lines[data.draw(st.integers(0, len(lines) - 1))]
+        line[data.draw(st.integers(0, len(line) - 1))] = data.draw(FIELDS)
+    outcome("\n".join(sep.join(line) for line in lines).encode(errors="surrogatepass"), {"skip_bad": skip_bad})
