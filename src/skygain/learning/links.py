@@ -1,0 +1,148 @@
+"""Ray-traced links as plain arrays, and the random views of them that networks are trained on.
+
+A network sees thousands of crops a minute. Going through the data set's labels for each would cost more than the crop itself, so
+one split is read once into dense arrays, and a `View` (which link, which altitude, which window, which of the eight symmetries
+of the square) is drawn from a generator and cut out of them.
+"""
+
+from __future__ import annotations
+
+__all__ = ["Links", "View", "load_links"]
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One training sample: a window of one link's map, possibly turned and mirrored."""
+
+    height_m: NDArray[np.float32]
+    """``[row, col]`` building heights of the window"""
+    gain_db: NDArray[np.float32]
+    """``[row, col]`` truth, finite everywhere"""
+    outdoor: NDArray[np.bool_]
+    """``[row, col]`` cells where the truth counts"""
+    ray_traced: NDArray[np.bool_]
+    """``[row, col]`` cells a ray reached"""
+    transmitter: tuple[float, float, float]
+    """(row, col, z): fractional cell in the window's frame (it may lie outside) and metres above the street"""
+    altitude_m: float
+    """altitude of the map"""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """One split of a data set."""
+
+    height_m: NDArray[np.float32]
+    """``[city, row, col]``"""
+    city: NDArray[np.int64]
+    """``[link]`` index along the first axis of `height_m`"""
+    transmitter: NDArray[np.float64]
+    """``[link, (row, col, z)]`` fractional cells, metres"""
+    gain_db: NDArray[np.float16]
+    """``[link, altitude, row, col]`` NaN where an altitude was not computed"""
+    ray_traced: NDArray[np.bool_]
+    """``[link, altitude, row, col]``"""
+    altitude_m: NDArray[np.float64]
+    """``[altitude]``"""
+    available: NDArray[np.bool_]
+    """``[link, altitude]`` whether the altitude was computed"""
+    spacing_m: float
+    """side of a cell"""
+
+    def __len__(self) -> int:
+        return len(self.city)
+
+    def draw(self, rng: np.random.Generator, side: int, weights: NDArray[np.float64] | None = None, augment: bool = True) -> View:
+        """A random window of ``side`` cells of a random link; ``weights[altitude]`` are relative odds (default: equal).
+
+        Turns and mirror images only with ``augment``.
+        """
+        odds = np.ones(len(self.altitude_m)) if weights is None else np.asarray(weights, dtype=float)
+        while True:
+            link = int(rng.integers(len(self)))
+            altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
+            if self.available[link, altitude]:
+                break
+        rows, cols = self.height_m.shape[1:]
+        row, col = int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
+        return self.view(link, altitude, row, col, side, int(rng.integers(8)) if augment else 0)
+
+    def view(self, link: int, altitude: int, row: int, col: int, side: int, symmetry: int = 0) -> View:
+        """The window of ``side`` cells whose first cell is (row, col).
+
+        ``symmetry`` 0..7 is a set of bits: 1 mirrors the rows, 2 mirrors the columns, 4 swaps rows and columns afterwards.
+        """
+        window = (slice(row, row + side), slice(col, col + side))
+        tx_row, tx_col = self.transmitter[link, :2] - (row, col)
+        if symmetry & 1:
+            tx_row = side - 1 - tx_row
+        if symmetry & 2:
+            tx_col = side - 1 - tx_col
+        if symmetry & 4:
+            tx_row, tx_col = tx_col, tx_row
+
+        def cut(map_: NDArray) -> NDArray:
+            part = map_[window][:: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+            return np.ascontiguousarray(part.T if symmetry & 4 else part)
+
+        height = cut(self.height_m[self.city[link]])
+        gain = cut(self.gain_db[link, altitude]).astype(np.float32)
+        altitude_m = float(self.altitude_m[altitude])
+        outdoor = (height < altitude_m) & np.isfinite(gain)
+        gain[~outdoor] = 0.0
+        return View(
+            height_m=height,
+            gain_db=gain,
+            outdoor=outdoor,
+            ray_traced=cut(self.ray_traced[link, altitude]),
+            transmitter=(float(tx_row), float(tx_col), float(self.transmitter[link, 2])),
+            altitude_m=altitude_m,
+        )
+
+
+def load_links(path: str | Path, split: str) -> Links:
+    """Read one split (``T1`` … ``T4``) of a data set stored as Zarr (a folder or a ``.zip``).
+
+    Raises:
+        InputError: the file is missing, is no data set, or has no city of that split.
+    """
+    import xarray as xr
+    import zarr
+
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"no data set at {path}; give the path of a .zarr or .zarr.zip data set (see `skygain data`)")
+    store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else zarr.storage.LocalStore(path)
+    try:
+        data = xr.open_zarr(store, consolidated=False)
+        cities = np.flatnonzero(data["split"].values.astype(str) == split)
+        city_index = data["city_index"].values.astype(np.int64)
+    except (KeyError, FileNotFoundError, ValueError) as error:
+        raise InputError(f"{path} is not a Skygain data set ({error}); expected split, city_index, gain_db and others") from error
+    kept = np.flatnonzero(np.isin(city_index, cities))
+    if not len(kept):
+        raise InputError(
+            f"{path} holds no link of split {split!r}; known splits: {sorted(set(data['split'].values.astype(str)))}"
+        )
+    gain = data["gain_db"].isel(link=kept).values.astype(np.float16)
+    x, y = data["x"].values.astype(float), data["y"].values.astype(float)
+    spacing = float(x[1] - x[0])
+    tx = data["tx_m"].isel(link=kept).values.astype(float)
+    return Links(
+        height_m=data["height_m"].isel(city=cities).values.astype(np.float32),
+        city=np.searchsorted(cities, city_index[kept]),
+        transmitter=np.stack([(tx[:, 1] - y[0]) / spacing, (tx[:, 0] - x[0]) / spacing, tx[:, 2]], axis=-1),
+        gain_db=gain,
+        ray_traced=data["ray_traced"].isel(link=kept).values.astype(bool),
+        altitude_m=data["altitude"].values.astype(float),
+        available=np.isfinite(gain).any(axis=(2, 3)),
+        spacing_m=spacing,
+    )

@@ -1,0 +1,72 @@
+"""Weights that ship with the package or were trained here, and the card that says where they come from.
+
+A weight file is safetensors; the card stands in its header and, readable, beside it. Weights are looked for in the package first
+and then in the user's cache, where `skygain train predictor` leaves them.
+"""
+
+from __future__ import annotations
+
+__all__ = ["export_weights", "find_weights", "load_network", "user_weights"]
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from skygain.errors import InputError
+from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+
+PACKAGE_WEIGHTS = Path(__file__).parents[1] / "data" / "weights"
+
+
+def user_weights() -> Path:
+    """Folder of weights trained on this machine: ``$SKYGAIN_CACHE/weights``, by default ``~/.cache/skygain/weights``."""
+    return Path(os.environ.get("SKYGAIN_CACHE", Path.home() / ".cache" / "skygain")) / "weights"
+
+
+def find_weights(name: str) -> Path:
+    """The weight file called ``name``.
+
+    Raises:
+        InputError: there is none; the message says which command makes it.
+    """
+    for folder in (PACKAGE_WEIGHTS, user_weights()):
+        path = folder / f"{name}.safetensors"
+        if path.exists():
+            return path
+    raise InputError(
+        f"the weights {name!r} do not ship with this version and were not trained here; make them with: "
+        f"skygain train predictor --recipe {name} (a data set is needed: skygain data --help)"
+    )
+
+
+def export_weights(checkpoint: Path, path: Path, card: dict[str, Any]) -> None:
+    """Write the averaged weights of a run as a float16 weight file with ``card`` in its header, and the card as JSON beside it."""
+    tensors, meta = load_checkpoint(checkpoint)
+    half = {key.removeprefix("average."): value.to(torch.float16) for key, value in tensors.items() if key.startswith("average.")}
+    card = {**card, "steps": meta["step"], "training_seconds": round(meta["seconds"]), "scores": meta["scores"], **_recipe(meta)}
+    save_checkpoint(path, half, card)
+    path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
+
+
+def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
+    """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to evaluation, and return their card."""
+    path = name if isinstance(name, Path) else find_weights(name)
+    tensors, card = load_checkpoint(path)
+    if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
+        tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}
+    state = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+    missing, unexpected = network.load_state_dict(state, strict=False)
+    missing = [key for key in missing if not key.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise InputError(f"{path} does not fit this network (first mismatch: {(missing + unexpected)[0]}); export it again")
+    network.eval()
+    return card
+
+
+def _recipe(meta: dict[str, Any]) -> dict[str, Any]:
+    config = {key: value for key, value in meta["config"].items() if key not in ("data", "out", "start_from")}
+    return {"samples": meta["step"] * config["batch_size"], "recipe": config}
