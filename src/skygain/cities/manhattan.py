@@ -19,6 +19,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skygain.cities.framing import MAX_CELLS
 from skygain.city import Building, City
 from skygain.errors import InputError
 from skygain.grid import Grid
@@ -64,6 +65,7 @@ class ManhattanConfig:
         lot = (lot - self.street_width_m) / max(self.max_lots, 1)
         demands = {
             "spacing_m must be positive and at most extent_m": 0 < self.spacing_m <= self.extent_m < np.inf,
+            f"the square must have at most {MAX_CELLS:,} cells": self.extent_m**2 <= MAX_CELLS * self.spacing_m**2,
             "blocks and max_lots must be at least 1": self.blocks >= 1 and self.max_lots >= 1,
             "block_variation must be at least 0 and below 1": 0 <= self.block_variation < 1,
             "street_width_m must not be negative": self.street_width_m >= 0,

@@ -85,9 +85,8 @@ def read_city(
             layer=layer,
             default_height_m=DEFAULT_HEIGHT_M if default_height_m is None else default_height_m,
         )
-    raise InputError(
-        f"{text[:200]!r} names no city; give a seed (7), a file ({', '.join((*_RASTERS, *SUFFIXES))}) or a scene ({', '.join(SCENES)})"
-    )
+    files, scenes = ", ".join((*_RASTERS, *SUFFIXES)), ", ".join(SCENES)
+    raise InputError(f"{text[:200]!r} names no city; give a seed (7), the path of a file ({files}) or a scene ({scenes})")
 
 
 def _refuse(spec: str, **options: object) -> None:
