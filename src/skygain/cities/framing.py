@@ -172,7 +172,12 @@ def box_in_metres(box: Bounds, crs: Any | None) -> Bounds:
         )
     west, south, east, north = (float(v) for v in values)
     if crs is not None and in_degrees(box):
-        return transformed_bounds((west, south, east, north), parse_crs("EPSG:4326"), crs)
+        try:
+            return transformed_bounds((west, south, east, north), parse_crs("EPSG:4326"), crs)
+        except InputError as error:
+            raise InputError(
+                f"the box {_shown(box)} degrees is nowhere near the map in {crs.name!r}; choose a box inside it"
+            ) from error
     return west, south, east, north
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 __all__ = ["MAX_HEIGHT_M", "raster_city", "read_raster", "save_heights"]
 
 import os
-from itertools import product
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +86,10 @@ def read_raster(
     path = existing_file(path)
     rasterio = require("rasterio", "geo")
     try:
-        with rasterio.open(path, driver="GTiff") as source:
-            grid, height, unit_m = _read(source, spacing_m, crs, box, band)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # _check_local says it, with the remedy
+            with rasterio.open(path, driver="GTiff") as source:
+                grid, height, unit_m = _read(source, spacing_m, crs, box, band)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     except Exception as error:  # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
@@ -241,8 +243,9 @@ def _check_local(source: Any, own: Any | None, crs: str | None) -> None:
 
 def _extent(source: Any) -> Bounds:
     """Upright bounds of the raster's four corners in its own coordinates."""
-    corners = product((0, source.width), (0, source.height))
-    x, y = np.array([source.transform * corner for corner in corners]).T
+    pixel = source.transform
+    col, row = np.array([[0, source.width, 0, source.width], [0, 0, source.height, source.height]], dtype=float)
+    x, y = pixel.a * col + pixel.b * row + pixel.c, pixel.d * col + pixel.e * row + pixel.f
     if not np.isfinite([x, y]).all() or x.min() == x.max() or y.min() == y.max():
         raise InputError("the raster's pixels have no size; georeference it again")
     return float(x.min()), float(y.min()), float(x.max()), float(y.max())

@@ -124,8 +124,10 @@ def _chosen(layers: list[tuple[str, str]], wanted: str | None) -> str:
     fitting = [name for name, kind in layers if "Polygon" in kind] or [name for name, kind in layers if kind != "None"]
     if len(fitting) > 1:
         fitting = [name for name in fitting if plain_name(name) in ("building", "buildings")] or fitting
-    if len(fitting) != 1:
-        raise InputError(f"expected one layer with polygons, found {', '.join(fitting) or 'none'}; give layer")
+    if not fitting:
+        raise InputError(f"expected a layer with polygons, found {', '.join(names) or 'no layer at all'}; choose another file")
+    if len(fitting) > 1:
+        raise InputError(f"expected one layer with polygons, found {', '.join(fitting)}; give layer")
     return fitting[0]
 
 
