@@ -20,6 +20,7 @@ import numpy as np
 
 from skygain.datasets.layout import AXIS, EDGE, SPLITS, VARIABLES, CityRecord
 from skygain.errors import InputError
+from skygain.files import atomic_write
 from skygain.grid import Grid
 
 _LINKS_PER_CHUNK = 16
@@ -84,12 +85,7 @@ def write_dataset(
     entries = _compressed(
         small, records, (len(city_index), len(altitudes_m), *grid.shape), {"spacing_m": grid.spacing_m, **attributes}
     )
-    try:
-        _write_zip(path, entries)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}; choose a folder you can write to, with enough room"
-        ) from error
+    _write_zip(path, entries)
     return path
 
 
@@ -107,8 +103,8 @@ def _check(record: CityRecord, grid: Grid, n_altitudes: int) -> None:
 
 def _compressed(
     small: Mapping[str, np.ndarray], records: Iterable[CityRecord], shape: tuple[int, ...], attributes: Mapping[str, Any]
-) -> dict[str, bytes]:
-    """All entries of the zip file by name."""
+) -> dict[str, Any]:
+    """All entries of the zip file by name, as Zarr's buffers."""
     import zarr
     from zarr.codecs import ZstdCodec
 
@@ -135,37 +131,40 @@ def _compressed(
             )
             if name in small:
                 arrays[name][...] = small[name].astype(dtype)
-        for name in ("gain_db", "ray_traced"):
-            _fill_by_chunk(arrays[name], (getattr(record, name) for record in records))
-    return {name: buffer.to_bytes() for name, buffer in entries.items()}
+        maps = [_ChunkFiller(arrays[name]) for name in ("gain_db", "ray_traced")]
+        for record in records:
+            for filler, part in zip(maps, (record.gain_db, record.ray_traced), strict=True):
+                filler.add(part)
+        for filler in maps:
+            filler.finish()
+    return entries
 
 
-def _fill_by_chunk(array: Any, parts: Iterable[np.ndarray]) -> None:
-    """Write ``parts``, one after another along the first dimension, in whole chunks, so that each is compressed once."""
-    n, start = array.chunks[0], 0
-    held = np.empty((0, *array.shape[1:]), dtype=array.dtype)
-    for part in parts:
-        held = np.concatenate([held, part.astype(array.dtype)])
-        whole = len(held) // n * n
-        if whole:
-            array[start : start + whole] = held[:whole]
-            start, held = start + whole, held[whole:]
-    if len(held):
-        array[start:] = held
+class _ChunkFiller:
+    """Fills a Zarr array along its first dimension in whole chunks, so that each is compressed once."""
+
+    def __init__(self, array: Any) -> None:
+        self._array, self._start = array, 0
+        self._held = np.empty((0, *array.shape[1:]), dtype=array.dtype)
+
+    def add(self, part: np.ndarray) -> None:
+        self._held = np.concatenate([self._held, part.astype(self._array.dtype)])
+        n = self._array.chunks[0]
+        self._write(len(self._held) // n * n)
+
+    def finish(self) -> None:
+        self._write(len(self._held))
+
+    def _write(self, count: int) -> None:
+        if count:
+            self._array[self._start : self._start + count] = self._held[:count]
+            self._start, self._held = self._start + count, self._held[count:]
 
 
-def _write_zip(path: Path, entries: Mapping[str, bytes]) -> None:
-    """Write the entries, sorted and with one fixed date, next to ``path``, and move the whole file into place."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with open(unfinished, "wb") as file:
-            with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-                for name in sorted(entries):
-                    info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-                    info.create_system, info.external_attr = 3, 0o644 << 16  # the same on every system
-                    archive.writestr(info, entries[name])
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+def _write_zip(path: Path, entries: Mapping[str, Any]) -> None:
+    """Write the entries, sorted and with one fixed date."""
+    with atomic_write(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(entries):
+            info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            info.create_system, info.external_attr = 3, 0o644 << 16  # the same on every system
+            archive.writestr(info, entries[name].to_bytes())

@@ -1,0 +1,306 @@
+"""Building a data set of generated cities, in parallel, in a way that survives being killed.
+
+Each city is traced on its own and written as a small data set of one city into the folder ``PATH.parts``; once all are there they
+are merged into PATH. A file gets its name only when it is complete, a worker computes on one thread, and all seeds are keyed by
+city, so the result is the same bytes however often the build was killed and however many workers it had.
+"""
+
+from __future__ import annotations
+
+__all__ = ["build_dataset"]
+
+import importlib.metadata
+import json
+import multiprocessing
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import skygain
+from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
+from skygain.city import City
+from skygain.datasets.layout import CityRecord
+from skygain.datasets.presets import BuildConfig, preset_config
+from skygain.datasets.store import ChannelDataset
+from skygain.datasets.writer import write_dataset
+from skygain.errors import InputError
+from skygain.files import atomic_write, writable_folder
+
+Progress = Callable[[int, int, float | None], None]
+"""called with the cities done, the cities in all, and the seconds left (``None`` while unknown)"""
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_PACKAGES = ("numpy", "sionna-rt", "mitsuba", "drjit")
+"""packages whose release can change the numbers"""
+
+
+def build_dataset(
+    preset: str | BuildConfig,
+    path: str | os.PathLike[str],
+    *,
+    workers: int = 1,
+    resume: bool = True,
+    propagation: str | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Generate cities, compute the truth of their transmitters, and write the data set.
+
+    Args:
+        preset: name of a preset, or a configuration.
+        path: the file to write. Unfinished work is kept beside it, in ``PATH.parts``.
+        workers: cities computed at the same time, each in a process of its own on one thread.
+        resume: go on from the cities that an earlier, interrupted call finished; else throw them away, and replace PATH.
+        propagation: name of the propagation model; the configuration's when left out.
+        progress: told after each city.
+
+    Returns:
+        The path. A finished data set with the same settings is left as it is.
+
+    Raises:
+        InputError: unknown preset or propagation model, PATH or its parts were made with other settings, another process builds
+            the same file, the folder cannot be written, or an optional package is missing.
+    """
+    from skygain.propagation import PROPAGATION
+
+    config = preset if isinstance(preset, BuildConfig) else preset_config(preset)
+    if propagation is not None:
+        config = replace(config, propagation=propagation)
+    if workers < 1:
+        raise InputError(f"workers must be 1 or more, got {workers}")
+    PROPAGATION.factory(config.propagation)
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give the name of a file to write")
+    parts = path.with_name(f"{path.name}.parts")
+    settings = _settings(config)
+    with _locked(parts, path):
+        if not resume:
+            _clear(parts)
+        elif path.exists():
+            _demand_same(settings, ChannelDataset.open(path).attributes.get("build"), path)
+            shutil.rmtree(parts)
+            return path
+        _note_settings(parts, settings, path)
+        _trace_all(config, parts, workers, progress)
+        shards = _Shards([_shard(parts, seed) for seed, _ in config.city_seeds])
+        attributes = _attributes(config, settings, shards.sum_of("guarded_cells"))
+        first = ChannelDataset.open(shards.paths[0])
+        merged = write_dataset(
+            parts / "merged.zarr.zip", shards, grid=first.grid, altitudes_m=config.altitudes_m, attributes=attributes
+        )
+        os.replace(merged, path)
+        shutil.rmtree(parts)
+    return path
+
+
+def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progress | None) -> None:
+    """Make the shards that are missing."""
+    total = len(config.city_seeds)
+    missing = [(seed, split) for seed, split in config.city_seeds if not _is_usable(_shard(parts, seed))]
+    done, began = total - len(missing), time.monotonic()
+    if progress:
+        progress(done, total, None)
+    if not missing:
+        return
+    # spawned, not forked: a fork would copy the ray tracer's threads in whatever state they are
+    context = multiprocessing.get_context("spawn")
+    with _one_thread_per_child():
+        pool = ProcessPoolExecutor(min(workers, len(missing)), mp_context=context, initializer=_end_with_parent)
+        try:
+            tasks = [pool.submit(_trace_city, config, seed, split, _shard(parts, seed)) for seed, split in missing]
+            for count, task in enumerate(as_completed(tasks), start=1):
+                task.result()
+                if progress:
+                    left = (time.monotonic() - began) / count * (len(missing) - count)
+                    progress(done + count, total, left)
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a worker process ended before its city was done, perhaps for want of memory; finished cities are kept, "
+                "run the same command again, with fewer workers"
+            ) from error
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
+    """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a worker."""
+    from skygain.propagation import PROPAGATION
+
+    city = manhattan_city(seed)
+    sites = transmitter_sites(city)
+    if config.max_sites is not None:
+        # the first of a shuffled list, so that fewer sites are a part of more sites
+        chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[: config.max_sites]
+        sites = sites[np.sort(chosen)]
+    truth = PROPAGATION.factory(config.propagation)(
+        city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, samples=config.samples, seed=config.seed + seed
+    )
+    record = CityRecord(
+        number=seed,
+        split=split,
+        height_m=city.height_m,
+        building=_rectangles(city),
+        tx_m=sites,
+        gain_db=truth.gain_db,
+        ray_traced=truth.ray_traced,
+    )
+    attributes = {"frequency_hz": config.frequency_hz, "guarded_cells": int(np.sum(truth.guarded))}
+    write_dataset(path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes)
+
+
+def _rectangles(city: City) -> np.ndarray:
+    """``[building, (x0, y0, x1, y1, height)]`` of a city of upright rectangles."""
+    corners = [(*b.footprint_m.min(axis=0), *b.footprint_m.max(axis=0), b.height_m) for b in city.buildings]
+    return np.array(corners, dtype=float).reshape(-1, 5)
+
+
+class _Shards(Sequence[CityRecord]):
+    """The cities in a list of shard files, each loaded when it is asked for."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self.paths = paths
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, i: Any) -> Any:
+        return ChannelDataset.open(self.paths[i]).record(0)
+
+    def sum_of(self, attribute: str) -> int:
+        """Sum of an attribute over the shards."""
+        return sum(int(ChannelDataset.open(path).attributes[attribute]) for path in self.paths)
+
+
+def _shard(parts: Path, seed: int) -> Path:
+    return parts / f"city-{seed:04d}.zarr.zip"
+
+
+def _is_usable(shard: Path) -> bool:
+    try:
+        ChannelDataset.open(shard)
+    except InputError:
+        return False
+    return True
+
+
+def _settings(config: BuildConfig) -> dict[str, Any]:
+    """All that decides the numbers, as JSON would give it back."""
+    releases = {"skygain": skygain.__version__}
+    for package in _PACKAGES:
+        try:
+            releases[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return json.loads(json.dumps({**asdict(config), "city": asdict(ManhattanConfig()), "releases": releases}))
+
+
+def _attributes(config: BuildConfig, settings: Mapping[str, Any], guarded: int) -> dict[str, Any]:
+    """The data set's own account of where its numbers come from."""
+    return {
+        "title": f"Manhattan cities, {config.name}",
+        "frequency_hz": config.frequency_hz,
+        "extent_m": ManhattanConfig().extent_m,
+        "rays_per_transmitter": config.samples,
+        "guarded_cells": guarded,
+        "gain": "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean nothing",
+        "tool": f"Skygain {skygain.__version__}, propagation model {config.propagation}; the coordinate city is the city's seed",
+        "build": dict(settings),
+    }
+
+
+def _note_settings(parts: Path, settings: Mapping[str, Any], path: Path) -> None:
+    """Write the settings into the parts folder, or see that they are those already there."""
+    note = parts / "settings.json"
+    if note.exists():
+        try:
+            found = json.loads(note.read_text())
+        except ValueError:
+            found = None
+        _demand_same(settings, found, parts)
+        return
+    with atomic_write(note) as unfinished:
+        unfinished.write_text(json.dumps(settings, indent=1))
+
+
+def _demand_same(settings: Mapping[str, Any], found: Any, where: Path) -> None:
+    """Raise `InputError` if what stands at ``where`` was made with other settings."""
+    if found == settings:
+        return
+    if not isinstance(found, dict):
+        raise InputError(f"{where} was not built by this command; give another output path, or do not resume to replace it")
+    different = [f"{key} {found.get(key)!r} there, {settings[key]!r} now" for key in settings if found.get(key) != settings[key]]
+    raise InputError(
+        f"{where} was made with other settings ({'; '.join(different)}); give another output path, or do not resume to replace it"
+    )
+
+
+def _clear(parts: Path) -> None:
+    """Throw away the work of earlier builds, but nothing else that may lie in the folder."""
+    for file in [*parts.glob("*.zarr.zip"), *parts.glob(".*.tmp"), parts / "settings.json"]:
+        file.unlink(missing_ok=True)
+
+
+@contextmanager
+def _locked(parts: Path, path: Path) -> Iterator[None]:
+    """Hold the parts folder for this process. The lock goes with the process, however it ends."""
+    import fcntl
+
+    while True:
+        writable_folder(parts)
+        with open(parts / "lock", "w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise InputError(f"another process is building {path}; wait for it or choose another output path") from error
+            if not _still_there(parts / "lock", file.fileno()):
+                continue  # between our opening the lock and getting it, a build ended and took the folder away
+            try:
+                yield
+            finally:
+                if parts.exists() and os.listdir(parts) == ["lock"]:
+                    shutil.rmtree(parts)
+            return
+
+
+def _still_there(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
+
+
+@contextmanager
+def _one_thread_per_child() -> Iterator[None]:
+    """Let processes started here compute on one thread: several workers do not crowd the machine, and sums keep their order."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _end_with_parent() -> None:
+    """End this worker when the building process is gone; a killed parent cannot tell it to."""
+
+    def watch() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,89 @@
+"""Which cities, transmitters and altitudes a data set is built of.
+
+A city's seed belongs to one split for good (T1 counts from 0, T2 from 1000, T3 from 2000, T4 from 3000), whatever the preset.
+So no predictor trained on one preset has seen a test city of another, and the small presets are subsets of the paper's.
+"""
+
+from __future__ import annotations
+
+__all__ = ["PRESETS", "BuildConfig", "preset_config"]
+
+from dataclasses import dataclass
+
+from skygain.datasets.layout import SPLITS
+from skygain.errors import InputError
+
+_SEEDS_PER_SPLIT = 1000
+
+
+@dataclass(frozen=True)
+class BuildConfig:
+    """What a data set is built of; it follows from this and the installed releases alone.
+
+    Raises:
+        InputError: a number is out of range.
+    """
+
+    name: str
+    """for the title"""
+    cities: tuple[int, int, int, int]
+    """cities of T1, T2, T3 and T4"""
+    max_sites: int | None = None
+    """transmitters per city, drawn from the outdoor ones of the lattice; all of them when ``None``"""
+    altitudes_m: tuple[float, ...] = (10.0, 20.0, 30.0)
+    """altitudes of the maps"""
+    samples: int = 3_000_000
+    """rays per transmitter"""
+    frequency_hz: float = 5.0e9
+    """carrier frequency"""
+    propagation: str = "union"
+    """name of the propagation model"""
+    seed: int = 0
+    """for the choice of transmitters and the rays; the cities have seeds of their own"""
+
+    def __post_init__(self) -> None:
+        demands = {
+            f"cities must be four numbers from 0 to {_SEEDS_PER_SPLIT}, not all 0": len(self.cities) == len(SPLITS)
+            and all(0 <= n <= _SEEDS_PER_SPLIT for n in self.cities)
+            and sum(self.cities) > 0,
+            "max_sites must be 1 or more": self.max_sites is None or self.max_sites >= 1,
+            "altitudes_m must be positive and different": 0 < len(self.altitudes_m) == len(set(self.altitudes_m))
+            and min(self.altitudes_m) > 0,
+            "samples must be 1 or more": self.samples >= 1,
+            "frequency_hz must be positive": self.frequency_hz > 0,
+            "seed must be 0 or more": self.seed >= 0,
+        }
+        for demand, met in demands.items():
+            if not met:
+                raise InputError(f"{demand}; got {self}")
+
+    @property
+    def city_seeds(self) -> list[tuple[int, str]]:
+        """(seed, split) of every city, in the order of the file."""
+        return [
+            (_SEEDS_PER_SPLIT * k + j, split)
+            for k, (split, n) in enumerate(zip(SPLITS, self.cities, strict=True))
+            for j in range(n)
+        ]
+
+
+PRESETS = {
+    config.name: config
+    for config in (
+        BuildConfig(name="paper", cities=(75, 25, 170, 30)),
+        BuildConfig(name="small", cities=(12, 4, 8, 6), max_sites=6),
+        BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000),
+    )
+}
+"""``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works"""
+
+
+def preset_config(name: str) -> BuildConfig:
+    """The configuration called ``name``.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in PRESETS:
+        raise InputError(f"unknown preset {name!r}; known: {', '.join(PRESETS)}")
+    return PRESETS[name]
