@@ -7,7 +7,7 @@ the city (reflections, canyons). It is convolutional throughout, so a map of any
 
 from __future__ import annotations
 
-__all__ = ["OperatorConfig", "PropagationOperator"]
+__all__ = ["OperatorConfig", "PropagationOperator", "ResidualUNet"]
 
 import math
 from dataclasses import dataclass
@@ -65,14 +65,14 @@ class _Attention(nn.Module):
         return x + self.out(y.transpose(-1, -2).reshape(b, c, rows, cols))
 
 
-class PropagationOperator(nn.Module):
-    """``[batch, channel, row, col]`` inputs → (mean in dB, log variance), each ``[batch, row, col]`` in float32."""
+class ResidualUNet(nn.Module):
+    """The body shared with the direct network: ``[batch, channel, row, col]`` → ``[batch, 2, row, col]`` in float32."""
 
-    def __init__(self, config: OperatorConfig = OperatorConfig()) -> None:
+    def __init__(self, channels: int, config: OperatorConfig) -> None:
         super().__init__()
         self.config = config
         s, (w1, w2, w3), (b1, b2, b3) = config.stem, config.widths, config.blocks
-        self.stem = nn.Conv2d(len(CHANNELS), s, 3, padding=1)
+        self.stem = nn.Conv2d(channels, s, 3, padding=1)
         self.down1 = nn.Conv2d(s, w1, 2, stride=2)
         self.enc1 = nn.Sequential(*(_Residual(w1) for _ in range(b1)))
         self.down2 = nn.Conv2d(w1, w2, 2, stride=2)
@@ -87,7 +87,8 @@ class PropagationOperator(nn.Module):
         self.merge = nn.Conv2d(2 * s, s, 3, padding=1)
         self.head = nn.Conv2d(s, 2, 3, padding=1)
 
-    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    def body(self, inputs: Tensor) -> Tensor:
+        """The two output maps; edges are repeated up to a multiple of 8 cells and cut off again."""
         rows, cols = inputs.shape[-2:]
         padded = F.pad(inputs, (0, -cols % 8, 0, -rows % 8), mode="replicate") if rows % 8 or cols % 8 else inputs
         x0 = F.relu(self.stem(padded))
@@ -97,7 +98,17 @@ class PropagationOperator(nn.Module):
         y2 = self.dec2(self.up2(x3) + x2)
         y1 = self.dec1(self.up1(y2) + x1)
         y0 = F.relu(self.merge(torch.cat([F.relu(self.up0(y1)), x0], dim=1)))
-        out = self.head(y0)[..., :rows, :cols].float()
+        return self.head(y0)[..., :rows, :cols].float()
+
+
+class PropagationOperator(ResidualUNet):
+    """``[batch, channel, row, col]`` inputs → (mean in dB, log variance), each ``[batch, row, col]`` in float32."""
+
+    def __init__(self, config: OperatorConfig = OperatorConfig()) -> None:
+        super().__init__(len(CHANNELS), config)
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        out = self.body(inputs)
         free_space = FREE_SPACE_5GHZ_DB - 20.0 * (inputs[:, CHANNELS.index("log_distance")].float() + 2.0)
         mean = free_space + 20.0 * out[:, 0]
         log_variance = (math.log(100.0) + 2.0 * out[:, 1]).clamp(math.log(0.5**2), math.log(40.0**2))

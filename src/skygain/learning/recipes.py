@@ -10,12 +10,36 @@ from pathlib import Path
 from typing import Any
 
 from skygain.errors import InputError
+from skygain.learning.survey_tasks import DirectTask, PaperTask
 from skygain.learning.tasks import OperatorTask
 from skygain.learning.train import Result, TrainConfig, train
 
+OURS = TrainConfig(task=OperatorTask(), data="", out="", batch_size=16, hold_steps=8000)
+PAPER = TrainConfig(
+    task=PaperTask(),
+    data="",
+    out="",
+    batch_size=160,
+    learning_rate=1e-3,
+    betas=(0.9, 0.999),
+    epsilon=1e-6,
+    weight_decay=0.0,
+    warmup_steps=0,
+    hold_steps=10**9,
+    average_decay=0.0,
+    clip_norm=0.0,
+    validate_steps=100,
+)
+
 RECIPES: dict[str, TrainConfig] = {
-    "operator": TrainConfig(task=OperatorTask(), data="", out="", batch_size=16, hold_steps=8000),
-    "operator-no-profile": TrainConfig(task=OperatorTask(profile=False), data="", out="", batch_size=16, hold_steps=8000),
+    "operator": OURS,
+    "operator-no-profile": replace(OURS, task=OperatorTask(profile=False)),
+    "unet": replace(OURS, task=DirectTask()),
+    "paper-unet": PAPER,
+    "paper-unet-mapblind": replace(PAPER, task=PaperTask(blind=True)),
+    "paper-unet-5": replace(PAPER, task=PaperTask(uavs=5)),
+    "paper-unet-20m": replace(PAPER, task=PaperTask(altitude_m=20.0)),
+    "paper-unet-30m": replace(PAPER, task=PaperTask(altitude_m=30.0)),
 }
 """Complete settings but for the paths."""
 

@@ -1,0 +1,91 @@
+"""The paper's U-Nets to its Table I: one network for the mean, an equal one for the variance.
+
+Layer by layer (paper, section V-A and Table I): convolutions of 4 × 4 with 16-16-32-32-64-64-128-128 channels, every second one
+followed by 2 × 2 max pooling; a dense layer of 4608; four "deconvolutions" (upsampling, then convolution) of 128-64-32-16 channels,
+each fed with the layer before it and the encoder layer of its own size (8, 7, 5, 3); a last convolution that also sees layer 1.
+The mean's hidden layers use ReLU, the variance's tanh, as the paper says; a tanh output could not be a variance, so the last layer of the
+variance gives its logarithm instead.
+"""
+
+from __future__ import annotations
+
+__all__ = ["GAIN_SCALE_DB", "PADDING_DB", "SIDE", "PaperUNet", "PaperUNets", "paper_inputs"]
+
+import itertools
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+SIDE = 96
+"""cells along the edge of the map; the dense layer fixes it"""
+PADDING_DB = -250.0
+"""c_L, the value at cells without a measurement: below every gain"""
+GAIN_CENTRE_DB = -120.0
+GAIN_SCALE_DB = 30.0
+"""gains enter and leave as (gain − centre) / scale"""
+HEIGHT_SCALE_M = 30.0
+
+ENCODER = (16, 16, 32, 32, 64, 64, 128, 128)
+DECODER = ((256, 128), (256, 64), (128, 32), (64, 16))
+
+
+def paper_inputs(height_m: Tensor, measured_db: Tensor, measured: Tensor, blind: bool) -> Tensor:
+    """``[batch, channel, row, col]`` from heights, gains and the mask of measured cells, each ``[batch, row, col]``.
+
+    The channels are the height map and the measurements padded with c_L; without the height map when ``blind``.
+    """
+    gain = torch.where(measured, measured_db, torch.full_like(measured_db, PADDING_DB))
+    gain = (gain - GAIN_CENTRE_DB) / GAIN_SCALE_DB
+    return (gain[:, None] if blind else torch.stack([height_m / HEIGHT_SCALE_M, gain], dim=1)).contiguous(
+        memory_format=torch.channels_last
+    )
+
+
+class PaperUNet(nn.Module):
+    """One U-Net of Table I: ``[batch, channel, 96, 96]`` → ``[batch, 96, 96]``."""
+
+    def __init__(self, channels: int, activation: str) -> None:
+        super().__init__()
+        choices: dict[str, Callable[[Tensor], Tensor]] = {"relu": F.relu, "tanh": torch.tanh}
+        self.activation = choices[activation]
+        widths = (channels, *ENCODER)
+        self.encoder = nn.ModuleList(nn.Conv2d(a, b, 4) for a, b in itertools.pairwise(widths))
+        self.dense = nn.Linear(4608, 4608)
+        self.decoder = nn.ModuleList(nn.Conv2d(a, b, 4) for a, b in DECODER)
+        self.last = nn.Conv2d(32, 1, 4)
+
+    def forward(self, x: Tensor) -> Tensor:
+        layers = []
+        for i, conv in enumerate(self.encoder):
+            x = self.activation(_same(conv, x))
+            if i % 2 == 1:
+                x = F.max_pool2d(x, 2)
+            layers.append(x)
+        y = self.activation(self.dense(x.flatten(1))).reshape(x.shape).contiguous(memory_format=torch.channels_last)
+        for conv, skip in zip(self.decoder, (8, 7, 5, 3), strict=True):
+            y = F.interpolate(torch.cat([y, layers[skip - 1]], dim=1), scale_factor=2.0)
+            y = self.activation(_same(conv, y))
+        return _same(self.last, torch.cat([y, layers[0]], dim=1))[:, 0]
+
+
+class PaperUNets(nn.Module):
+    """The pair: inputs → (mean in dB, log variance), each ``[batch, row, col]`` in float32."""
+
+    def __init__(self, blind: bool = False) -> None:
+        super().__init__()
+        self.blind = blind
+        self.mean = PaperUNet(1 if blind else 2, "relu")
+        self.variance = PaperUNet(1 if blind else 2, "tanh")
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        mean = GAIN_CENTRE_DB + GAIN_SCALE_DB * self.mean(inputs).float()
+        log_variance = math.log(15.0**2) + self.variance(inputs).float()
+        return mean, log_variance.clamp(math.log(0.5**2), math.log(60.0**2))
+
+
+def _same(conv: nn.Module, x: Tensor) -> Tensor:
+    # An even filter cannot be centred: one more row and column of zeros goes to the north and east.
+    return conv(F.pad(x, (1, 2, 1, 2)))
