@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import skygain
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
@@ -134,31 +135,49 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
 
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
     """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a worker."""
-    from skygain.propagation import PROPAGATION
-
     city = manhattan_city(seed)
     sites = transmitter_sites(city)
     if config.max_sites is not None:
         # the first of a shuffled list, so that fewer sites are a part of more sites
         chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[: config.max_sites]
         sites = sites[np.sort(chosen)]
-    truth = PROPAGATION.factory(config.propagation)(
-        city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, samples=config.samples, seed=config.seed + seed
-    )
+    gain_db, ray_traced, guarded = _truth(config, city, sites, config.seed + seed)
     record = CityRecord(
         number=seed,
         split=split,
         height_m=city.height_m,
         building=_rectangles(city),
         tx_m=sites,
-        gain_db=truth.gain_db,
-        ray_traced=truth.ray_traced,
+        gain_db=gain_db,
+        ray_traced=ray_traced,
     )
-    attributes = {"frequency_hz": config.frequency_hz, "guarded_cells": int(np.sum(truth.guarded))}
+    attributes = {"frequency_hz": config.frequency_hz, "guarded_cells": guarded}
     write_dataset(path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes)
 
 
-def _rectangles(city: City) -> np.ndarray:
+def _truth(config: BuildConfig, city: City, sites: NDArray[np.float64], seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and the number of cells that a guard cut."""
+    if config.propagation == "union":
+        from skygain.propagation.truth import trace_truth
+
+        truth = trace_truth(
+            city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, samples=config.samples, seed=seed, threads=1
+        )
+        return truth.gain_db, truth.ray_traced, truth.guarded
+    from skygain.propagation import PROPAGATION
+
+    gain_db = PROPAGATION.factory(config.propagation)(
+        city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, seed=seed
+    )
+    outdoor = np.stack([~city.obstructed(altitude) for altitude in config.altitudes_m])
+    if not np.isfinite(gain_db[:, outdoor]).all():
+        raise InputError(
+            f"the model {config.propagation!r} leaves outdoor cells without a gain, so no survey could use it; take 'union'"
+        )
+    return gain_db, np.zeros(gain_db.shape, dtype=bool), 0
+
+
+def _rectangles(city: City) -> NDArray[np.float64]:
     """``[building, (x0, y0, x1, y1, height)]`` of a city of upright rectangles."""
     corners = [(*b.footprint_m.min(axis=0), *b.footprint_m.max(axis=0), b.height_m) for b in city.buildings]
     return np.array(corners, dtype=float).reshape(-1, 5)
