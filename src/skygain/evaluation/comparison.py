@@ -62,7 +62,7 @@ class ComparisonConfig:
     """score every this many steps, and at the end"""
     noise_db: float = 0.0
     """standard deviation of Gaussian measurement noise"""
-    rules: FlightRules = FlightRules()  # noqa: RUF009 - frozen
+    rules: FlightRules = FlightRules()
     """separation, the same for every planner compared"""
     seed: int = 0
     """draws the crops, the starts and the planners' randomness"""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 __all__ = ["World", "open_world", "parse_position"]
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -154,17 +154,25 @@ def open_world(
     from skygain.propagation import PROPAGATION
 
     model = PROPAGATION.factory(propagation)
+    if propagation == "raytrace":
+        raise InputError("rays alone leave cells without any gain, so they cannot be surveyed; use --propagation union")
     city = open_city(spec, spacing_m=spacing_m, crs=crs, box=box)
     if transmitter == "random":
         position = _random_transmitter(city, rng)
     else:
         position = parse_position(transmitter)
         check_transmitter(city, position)
-    if crop is not None and Path(spec).suffix and crop == PROTOCOL_CROP:
+    if crop == PROTOCOL_CROP and Path(spec).suffix:
         crop = None
     row, col, window = _crop_corner(city.grid.shape, crop, rng)
-    truth = model(city, np.array([position]), [altitude_m], frequency_hz=frequency_hz, seed=int(rng.integers(2**31)))
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
-    traced = truth.ray_traced[0, 0][rows, cols] if truth.ray_traced is not None else None
-    city = replace(city.cropped(row, col, window), name=city.name)
-    return World(city, position, truth.gain_db[0, 0][rows, cols], traced)
+    where = (city, np.array([position]), [altitude_m])
+    seed, traced = int(rng.integers(2**31)), None
+    if propagation == "union":
+        from skygain.propagation.truth import trace_truth
+
+        truth = trace_truth(*where, frequency_hz=frequency_hz, seed=seed)
+        gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
+    else:
+        gain_db = model(*where, frequency_hz=frequency_hz, seed=seed)[0, 0]
+    return World(city.cropped(row, col, window), position, gain_db[rows, cols], traced)
