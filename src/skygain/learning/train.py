@@ -145,6 +145,9 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         save_checkpoint(path, tensors, {"step": step, "seconds": seconds, "scores": scores, "config": _plain(asdict(config))})
 
     network.train()
+    threads = torch.get_num_threads()
+    if device.type == "cpu" and config.workers > 1:
+        torch.set_num_threads(1)  # the workers are the parallelism
     shares = _Shares(task, network, config.workers if device.type == "cpu" else 1, autocast, device)
     begun, saved, losses = time.monotonic(), time.monotonic(), []
     earlier = seconds
@@ -168,7 +171,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
                 losses = []
             if step % config.validate_steps == 0:
                 trial.load_state_dict(average, strict=False)
-                scores = scores_of(task, trial, validation, autocast)
+                scores = shares.pool.submit(scores_of, task, trial, validation, autocast).result()
                 record(**scores)
             if now - saved > config.checkpoint_seconds:
                 save()
@@ -176,6 +179,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
             if now - begun > config.max_seconds:
                 break
     save()
+    torch.set_num_threads(threads)
     return Result(step, step * config.batch_size, seconds, scores, path)
 
 

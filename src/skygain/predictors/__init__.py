@@ -12,8 +12,13 @@ from skygain.registry import Registry
 PREDICTORS: Registry[Predictor] = Registry("predictor")
 PREDICTORS.register("kriging", "skygain.predictors.kriging:KrigingPredictor")
 PREDICTORS.register("kriging-blind", "skygain.predictors.kriging:blind_kriging")
+PREDICTORS.register("kriging-quadratic", "skygain.predictors.kriging:quadratic_kriging")
 PREDICTORS.register("idw", "skygain.predictors.idw:IdwPredictor")
 PREDICTORS.register("knn", "skygain.predictors.knn:KnnPredictor")
+PREDICTORS.register("operator", "skygain.predictors.operator:OperatorPredictor")
+PREDICTORS.register("paper-unet", "skygain.predictors.paper_unet:PaperUNetPredictor")
+PREDICTORS.register("paper-unet-mapblind", "skygain.predictors.paper_unet:map_blind_unet")
+PREDICTORS.register("unet", "skygain.predictors.unet:UNetPredictor")
 
 
 def create_predictor(name: str, **options: Any) -> Predictor:

@@ -1,0 +1,70 @@
+"""What every network that maps (city, measurements) straight to a gain map shares: it collects readings and runs the network once asked.
+
+The networks know nothing of noise or repeated readings, so readings of one cell enter as their precision-weighted mean. A cell measured
+exactly is answered with its reading and no variance: the network was told the value, and there is nothing left to predict.
+"""
+
+from __future__ import annotations
+
+__all__ = ["MapNetwork", "NetworkBelief"]
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.errors import InputError
+from skygain.measurements import Measurements
+from skygain.posterior import Posterior
+from skygain.predictors.base import Belief
+from skygain.predictors.readings import checked_flat, combined
+from skygain.scenario import Scenario
+
+MapNetwork = Callable[[Scenario, NDArray[np.float32], NDArray[np.bool_]], tuple[NDArray, NDArray]]
+"""(scenario, gain ``[row, col]``, measured ``[row, col]``) → (mean in dB, variance in dB²), each ``[row, col]``"""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkBelief(Belief):
+    """The readings so far; the network runs when the posterior is first asked for."""
+
+    scenario: Scenario
+    measurements: Measurements
+    network: MapNetwork
+    """the trained network"""
+
+    @classmethod
+    def begun(cls, scenario: Scenario, network: MapNetwork) -> NetworkBelief:
+        """No readings yet.
+
+        Raises:
+            InputError: the map is wanted at another altitude than the UAVs fly at, which such a network never saw.
+        """
+        if scenario.uav_altitude_m != scenario.prediction_altitude_m:
+            raise InputError(
+                f"this predictor maps the altitude it measures at, got flight at {scenario.uav_altitude_m:g} m and prediction at "
+                f"{scenario.prediction_altitude_m:g} m; make them equal or use the predictor 'operator'"
+            )
+        return cls(scenario, Measurements.none(), network)
+
+    def updated(self, measurements: Measurements) -> NetworkBelief:
+        checked_flat(self.scenario.grid, measurements)
+        return replace(self, measurements=self.measurements.extended(measurements)) if len(measurements) else self
+
+    def posterior(self) -> Posterior:
+        return self._posterior
+
+    @cached_property
+    def _posterior(self) -> Posterior:
+        grid, data = self.scenario.grid, self.measurements
+        readings = combined(grid.flat(data.cell), data.gain_db, data.noise_std_db**2)
+        gain, measured = np.zeros(grid.size, dtype=np.float32), np.zeros(grid.size, dtype=bool)
+        gain[readings.cells], measured[readings.cells] = readings.gain_db, True
+        mean, variance = self.network(self.scenario, gain.reshape(grid.shape), measured.reshape(grid.shape))
+        mean, variance = mean.astype(float), variance.astype(float)
+        exact = readings.noise_db2 == 0
+        mean.ravel()[readings.cells[exact]] = readings.gain_db[exact]
+        variance.ravel()[readings.cells[exact]] = 0.0
+        return Posterior(mean, variance)

@@ -1,0 +1,70 @@
+"""The paper's predictor: two U-Nets that turn (city, measurements) into a mean and a variance per cell (paper, section V)."""
+
+from __future__ import annotations
+
+__all__ = ["PaperUNetPredictor", "map_blind_unet"]
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.errors import InputError
+from skygain.predictors.base import Predictor
+from skygain.predictors.network_belief import NetworkBelief
+from skygain.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class PaperUNetPredictor(Predictor):
+    """Trained for maps of 96 × 96 cells of 4 m, one altitude and one number of UAVs; smaller maps are embedded in open ground."""
+
+    weights: str | Path = "paper-unet"
+    """name or file of the weights"""
+    blind: bool = False
+    """the map-blind twin"""
+
+    def begin(self, scenario: Scenario) -> NetworkBelief:
+        """The belief before the first measurement.
+
+        Raises:
+            InputError: the map is larger than the network's, or flight and prediction differ in altitude.
+        """
+        from skygain.learning.paper_unet_net import SIDE
+
+        if max(scenario.grid.shape) > SIDE:
+            raise InputError(
+                f"the paper's U-Net answers for maps of up to {SIDE} × {SIDE} cells, got {scenario.grid.shape}; "
+                "crop the city or use the predictor 'operator'"
+            )
+        _ = self._network
+        return NetworkBelief.begun(scenario, self._evaluate)
+
+    @cached_property
+    def _network(self) -> Any:
+        from skygain.learning.paper_unet_net import PaperUNets
+        from skygain.learning.weights import load_network
+
+        network = PaperUNets(self.blind)
+        load_network(network, self.weights)
+        return network
+
+    def _evaluate(self, scenario: Scenario, gain: NDArray[np.float32], measured: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+        import torch
+
+        from skygain.learning.paper_unet_net import SIDE, paper_inputs
+
+        rows, cols = scenario.grid.shape
+        room = ((0, SIDE - rows), (0, SIDE - cols))
+        height, gains, mask = (torch.from_numpy(np.pad(m, room)[None]) for m in (scenario.city.height_m, gain, measured))
+        with torch.inference_mode():
+            mean, log_variance = self._network(paper_inputs(height, gains, mask, self.blind))
+        return mean[0, :rows, :cols].numpy(), torch.exp(log_variance)[0, :rows, :cols].numpy()
+
+
+def map_blind_unet(weights: str | Path = "paper-unet-mapblind") -> PaperUNetPredictor:
+    """The same network without the height map (paper, section VIII-E)."""
+    return PaperUNetPredictor(weights=weights, blind=True)

@@ -1,0 +1,49 @@
+"""Our direct network as a predictor: any map, any number of UAVs, any path, 10 to 30 m, one model."""
+
+from __future__ import annotations
+
+__all__ = ["UNetPredictor"]
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.predictors.base import Predictor
+from skygain.predictors.network_belief import NetworkBelief
+from skygain.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class UNetPredictor(Predictor):
+    """See `skygain.learning.direct_net`."""
+
+    weights: str | Path = "unet"
+    """name or file of the weights"""
+
+    def begin(self, scenario: Scenario) -> NetworkBelief:
+        _ = self._network
+        return NetworkBelief.begun(scenario, self._evaluate)
+
+    @cached_property
+    def _network(self) -> Any:
+        from skygain.learning.direct_net import DirectNet
+        from skygain.learning.weights import load_network
+
+        network = DirectNet()
+        load_network(network, self.weights)
+        return network
+
+    def _evaluate(self, scenario: Scenario, gain: NDArray[np.float32], measured: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+        import torch
+
+        from skygain.learning.direct_net import direct_inputs
+
+        height, gains, mask = (torch.from_numpy(np.array(m)[None]) for m in (scenario.city.height_m, gain, measured))
+        with torch.inference_mode():
+            inputs = direct_inputs(height, gains, mask, torch.tensor([float(scenario.prediction_altitude_m)]))
+            mean, log_variance = self._network(inputs)
+        return mean[0].numpy(), torch.exp(log_variance)[0].numpy()
