@@ -162,9 +162,8 @@ def test_boxes_and_spacings_that_make_no_sense():
 
 def test_swapped_columns_are_noticed_on_the_map():
     pytest.importorskip("pyproj")
-    right = Recording(
-        np.array([-90.0, -91, -92]), "power", "made up", latlon=LATLON + (0, 90)
-    )  # 11 degrees east: both orders are possible
+    eleven_east = np.add(LATLON, (0.0, 90.0))  # both orders are possible positions
+    right = Recording(np.array([-90.0, -91, -92]), "power", "made up", latlon=eleven_east)
     wrong = Recording(right.level_db, "power", "made up", latlon=right.latlon[:, ::-1].copy())
     with pytest.raises(InputError, match="exchange the latitude and longitude columns"):
         wrong.on(grid_for(right))
