@@ -138,13 +138,11 @@ def test_missing_heights_get_the_default_and_are_counted(tmp_path: Path) -> None
 
 def test_a_building_covered_by_parts_is_replaced_by_them(tmp_path: Path) -> None:
     rows = [
-        {"building": "yes", "part": None, "height": 60.0, "geometry": square(0, 0, 40)},
-        {"building": None, "part": "yes", "height": 12.0, "geometry": square(0, 0, 40, 20)},
-        {"building": None, "part": "yes", "height": 60.0, "geometry": square(0, 20, 40, 20)},
+        {"building": "yes", "building:part": None, "height": 60.0, "geometry": square(0, 0, 40)},
+        {"building": None, "building:part": "yes", "height": 12.0, "geometry": square(0, 0, 40, 20)},
+        {"building": None, "building:part": "yes", "height": 60.0, "geometry": square(0, 20, 40, 20)},
     ]
-    reading = read_footprints(
-        write(tmp_path / "p.gpkg", [{("building:part" if k == "part" else k): v for k, v in r.items()} for r in rows])
-    )
+    reading = read_footprints(write(tmp_path / "p.gpkg", rows))
     assert [at(reading.city, 10, 10), at(reading.city, 10, 30)] == [12, 60]
     assert [b.height_m for b in reading.city.buildings] == [12, 60]
     assert reading.counts["outlines replaced by their parts"] == 1
@@ -257,6 +255,15 @@ def test_openstreetmap(tmp_path: Path) -> None:
     latlon = city.grid.latlon(city.grid.cells_at([600020, 4e6 + 20]))
     with pytest.raises(InputError, match=r"misses the data.*swapped"):
         read_footprints(path, box=(latlon[0] - 0.01, latlon[1] - 0.01, latlon[0] + 0.01, latlon[1] + 0.01))
+
+
+def test_openstreetmap_protobuf_is_the_same(tmp_path: Path) -> None:
+    """``block.osm.pbf`` holds the text above, written by osmium."""
+    path = tmp_path / "block.osm"
+    path.write_text(osm_text())
+    text, binary = (read_footprints(p, spacing_m=2) for p in (path, Path(__file__).parent / "block.osm.pbf"))
+    np.testing.assert_array_equal(binary.city.height_m, text.city.height_m)
+    assert (binary.counts, binary.city.grid, binary.city.name) == (text.counts, text.city.grid, "block")
 
 
 def test_layers(tmp_path: Path) -> None:

@@ -46,6 +46,9 @@ from skygain.grid import Grid
 DEFAULT_HEIGHT_M = 3 * LEVEL_M
 """height of a building for which the file gives none"""
 
+_FARTHEST = 1e8
+"""no projection has coordinates beyond this; arithmetic with larger ones overflows"""
+
 _COVERED = 0.9
 """share of an outline that parts must cover to replace it entirely"""
 
@@ -179,7 +182,6 @@ def _selected(
     geometries: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
 ) -> tuple[NDArray[np.object_], list[BuildingTags]]:
     """The features that are buildings above ground and have finite coordinates."""
-    shapely = require("shapely", "geo")
     wanted = np.array([t.is_building for t in tags], dtype=bool)
     if not wanted.any():
         wanted[:] = True
@@ -188,7 +190,7 @@ def _selected(
     underground = wanted & np.array([t.is_underground for t in tags], dtype=bool)
     counts["underground, left out"] += int(underground.sum())
     wanted &= ~underground
-    solid = np.isfinite(shapely.bounds(geometries)).all(axis=1)
+    solid = _placed(geometries)
     counts["without a polygon, left out"] += int((wanted & ~solid).sum())
     kept = np.flatnonzero(wanted & solid)
     return geometries[kept], [tags[i] for i in kept]
@@ -211,7 +213,7 @@ def _polygons(
 ) -> tuple[NDArray[np.object_], list[BuildingTags]]:
     """Valid polygons with an area, counter-clockwise; one feature may give several."""
     shapely = require("shapely", "geo")
-    finite = np.isfinite(shapely.bounds(geometries)).all(axis=1)
+    finite = _placed(geometries)
     geometries = geometries.copy()
     broken = finite & ~shapely.is_valid(geometries)
     geometries[broken] = shapely.make_valid(geometries[broken], method="structure", keep_collapsed=False)
@@ -289,6 +291,12 @@ def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
 def _bounds(geometries: NDArray[np.object_]) -> Bounds:
     west, south, east, north = (float(v) for v in require("shapely", "geo").total_bounds(geometries))
     return west, south, east, north
+
+
+def _placed(geometries: NDArray[np.object_]) -> NDArray[np.bool_]:
+    """Which geometries exist and have coordinates that can be some place on Earth, in any unit."""
+    bounds: NDArray[np.float64] = require("shapely", "geo").bounds(geometries)  # [geometry, edge], NaN for none
+    return np.all(np.abs(bounds) < _FARTHEST, axis=1)
 
 
 def _touches(building: Building, bounds_m: Bounds) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = ["SUFFIXES", "VectorLayer", "open_layer"]
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -107,7 +108,9 @@ def _gdal(is_osm: bool) -> Iterator[dict[str, str]]:
     """Open options for GDAL, and its errors as `InputError`."""
     with resources.as_file(resources.files("skygain.cities") / "osmconf.ini") as configuration:
         try:
-            yield {"CONFIG_FILE": str(configuration)} if is_osm else {}
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", module="pyogrio")  # what it mends is valid after; what it drops is counted
+                yield {"CONFIG_FILE": str(configuration)} if is_osm else {}
         except InputError:
             raise
         except Exception as error:  # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
