@@ -151,6 +151,10 @@ def test_other_settings_do_not_mix(tmp_path: Path, built: Path) -> None:
         build_dataset(one, path, progress=_interrupt_after(0))
     with pytest.raises(InputError, match=r"other settings \(seed 0 there, 1 now"):
         build_dataset(replace(one, seed=1), path)
+    note = tmp_path / "d.zarr.zip.parts" / "settings.json"
+    note.write_text(json.dumps(json.loads(note.read_text()) | {"source": "0123"}))
+    with pytest.raises(InputError, match="source '0123' there"):
+        build_dataset(one, path)
     other = build_dataset(replace(one, seed=1), path, resume=False)
     assert ChannelDataset.open(other).n_cities == 1
     assert os.listdir(tmp_path) == ["d.zarr.zip"]
@@ -166,7 +170,7 @@ def test_two_builds_of_one_file_do_not_meet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        ({"preset": "huge"}, "known: paper, small, tiny"),
+        ({"preset": "huge"}, "known: paper, small, tiny, sample"),
         ({"preset": "tiny", "propagation": "magic"}, "known"),
         ({"preset": "tiny", "workers": 0}, "1 or more"),
     ],

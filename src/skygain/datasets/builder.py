@@ -9,6 +9,8 @@ from __future__ import annotations
 
 __all__ = ["build_dataset"]
 
+import ast
+import hashlib
 import importlib.metadata
 import json
 import multiprocessing
@@ -91,11 +93,11 @@ def build_dataset(
             _demand_same(settings, ChannelDataset.open(path).attributes.get("build"), path)
             shutil.rmtree(parts)
             return path
-        _note_settings(parts, settings, path)
+        _note_settings(parts, {**settings, "source": _source_digest()})
         _trace_all(config, parts, workers, progress)
         shards = _Shards([_shard(parts, seed) for seed, _ in config.city_seeds])
-        attributes = _attributes(config, settings, shards.sum_of("guarded_cells"))
         first = ChannelDataset.open(shards.paths[0])
+        attributes = {**first.attributes, **_attributes(config, settings), "guarded_cells": shards.sum_of("guarded_cells")}
         merged = write_dataset(
             parts / "merged.zarr.zip", shards, grid=first.grid, altitudes_m=config.altitudes_m, attributes=attributes
         )
@@ -141,7 +143,7 @@ def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
         # the first of a shuffled list, so that fewer sites are a part of more sites
         chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[: config.max_sites]
         sites = sites[np.sort(chosen)]
-    gain_db, ray_traced, guarded = _truth(config, city, sites, config.seed + seed)
+    gain_db, ray_traced, facts = _truth(config, city, sites, config.seed + seed)
     record = CityRecord(
         number=seed,
         split=split,
@@ -151,19 +153,27 @@ def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
         gain_db=gain_db,
         ray_traced=ray_traced,
     )
-    attributes = {"frequency_hz": config.frequency_hz, "guarded_cells": guarded}
+    attributes = {"frequency_hz": config.frequency_hz, **facts}
     write_dataset(path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes)
 
 
-def _truth(config: BuildConfig, city: City, sites: NDArray[np.float64], seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and the number of cells that a guard cut."""
+def _truth(
+    config: BuildConfig, city: City, sites: NDArray[np.float64], seed: int
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and how the rays were traced."""
     if config.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
         truth = trace_truth(
             city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, samples=config.samples, seed=seed, threads=1
         )
-        return truth.gain_db, truth.ray_traced, truth.guarded
+        facts = {
+            "rays_per_transmitter": truth.settings.samples,
+            "max_reflections": truth.settings.max_reflections,
+            "max_diffractions": int(truth.settings.diffraction),
+            "guarded_cells": truth.guarded,
+        }
+        return truth.gain_db, truth.ray_traced, facts
     from skygain.propagation import PROPAGATION
 
     gain_db = PROPAGATION.factory(config.propagation)(
@@ -174,7 +184,7 @@ def _truth(config: BuildConfig, city: City, sites: NDArray[np.float64], seed: in
         raise InputError(
             f"the model {config.propagation!r} leaves outdoor cells without a gain, so no survey could use it; take 'union'"
         )
-    return gain_db, np.zeros(gain_db.shape, dtype=bool), 0
+    return gain_db, np.zeros(gain_db.shape, dtype=bool), {"guarded_cells": 0}
 
 
 def _rectangles(city: City) -> NDArray[np.float64]:
@@ -223,21 +233,34 @@ def _settings(config: BuildConfig) -> dict[str, Any]:
     return json.loads(json.dumps({**asdict(config), "city": asdict(ManhattanConfig()), "releases": releases}))
 
 
-def _attributes(config: BuildConfig, settings: Mapping[str, Any], guarded: int) -> dict[str, Any]:
+def _source_digest() -> str:
+    """Changes when the code changes that the numbers come from, but not with its comments and docstrings.
+
+    It guards unfinished builds only: the parts of one must come from one code. A finished file carries the releases.
+    """
+    root = Path(skygain.__file__).parent
+    digest = hashlib.sha256()
+    for file in [root / "cities" / "manhattan.py", *sorted((root / "propagation").glob("*.py"))]:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(body := getattr(node, "body", None), list):
+                node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]  # type: ignore[attr-defined]
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()[:12]
+
+
+def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The data set's own account of where its numbers come from."""
     return {
         "title": f"Manhattan cities, {config.name}",
-        "frequency_hz": config.frequency_hz,
         "extent_m": ManhattanConfig().extent_m,
-        "rays_per_transmitter": config.samples,
-        "guarded_cells": guarded,
         "gain": "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean nothing",
         "tool": f"Skygain {skygain.__version__}, propagation model {config.propagation}; the coordinate city is the city's seed",
         "build": dict(settings),
     }
 
 
-def _note_settings(parts: Path, settings: Mapping[str, Any], path: Path) -> None:
+def _note_settings(parts: Path, settings: Mapping[str, Any]) -> None:
     """Write the settings into the parts folder, or see that they are those already there."""
     note = parts / "settings.json"
     if note.exists():

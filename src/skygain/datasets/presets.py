@@ -73,9 +73,11 @@ PRESETS = {
         BuildConfig(name="paper", cities=(75, 25, 170, 30)),
         BuildConfig(name="small", cities=(12, 4, 8, 6), max_sites=6),
         BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000),
+        BuildConfig(name="sample", cities=(1, 1, 1, 1), max_sites=3),
     )
 }
-"""``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works"""
+"""``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works;
+``sample`` is what ships inside the package"""
 
 
 def preset_config(name: str) -> BuildConfig:
