@@ -31,7 +31,16 @@ and LLVM release. Dataset building therefore runs one process per core instead o
 
 from __future__ import annotations
 
-__all__ = ["DEFAULT_SAMPLES", "GUARD_DB", "RayTraced", "RayTracing", "check_release", "load_backend", "trace_gain_db"]
+__all__ = [
+    "DEFAULT_SAMPLES",
+    "GUARD_DB",
+    "RayTraced",
+    "RayTracing",
+    "check_release",
+    "load_backend",
+    "scene_object",
+    "trace_gain_db",
+]
 
 import importlib
 import importlib.metadata
@@ -238,25 +247,31 @@ def _scene(rt: Any, city: City, transmitters: NDArray[np.float64], origin: NDArr
     scene.tx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
     beyond = np.abs(transmitters[:, :2] - origin[:2]).max()
     parts = [("ground", ground_mesh(city, GROUND_MARGIN_M + beyond), 1.0), ("buildings", city_mesh(city), 0.3)]
-    objects = []
-    for name, mesh, thickness_m in parts:
-        if len(mesh.faces):
-            concrete = rt.ITURadioMaterial(f"{name}-concrete", "concrete", thickness=thickness_m)
-            objects.append(rt.SceneObject(mi_mesh=_mitsuba_mesh(mesh, name, origin), name=name, radio_material=concrete))
+    objects = [scene_object(rt, mesh, name, origin, thickness) for name, mesh, thickness in parts if len(mesh.faces)]
     scene.add(objects)
     return scene
 
 
-def _mitsuba_mesh(mesh: Mesh, name: str, origin: NDArray[np.float64]) -> Any:
+def scene_object(rt: ModuleType, mesh: Mesh, name: str, origin_m: NDArray[np.float64], thickness_m: float) -> Any:
+    """A ``sionna.rt.SceneObject`` of ITU concrete from a mesh, moved so that ``origin_m`` becomes (0, 0, 0).
+
+    Args:
+        rt: what `load_backend` returned.
+        mesh: its triangles.
+        name: name of the object in the scene.
+        origin_m: (x, y, z).
+        thickness_m: thickness of the slab in the reflection coefficient.
+    """
     mitsuba = require("mitsuba", "raytrace")
     properties = mitsuba.Properties()
     properties["face_normals"] = True
-    result = mitsuba.Mesh(name, len(mesh.vertices_m), len(mesh.faces), props=properties)
-    values = mitsuba.traverse(result)
-    values["vertex_positions"] = mitsuba.Float((mesh.vertices_m - origin).astype(np.float32).ravel())
+    shape = mitsuba.Mesh(name, len(mesh.vertices_m), len(mesh.faces), props=properties)
+    values = mitsuba.traverse(shape)
+    values["vertex_positions"] = mitsuba.Float((mesh.vertices_m - origin_m).astype(np.float32).ravel())
     values["faces"] = mitsuba.UInt32(mesh.faces.astype(np.uint32).ravel())
     values.update()
-    return result
+    concrete = rt.ITURadioMaterial(f"{name}-concrete", "concrete", thickness=thickness_m)
+    return rt.SceneObject(mi_mesh=shape, name=name, radio_material=concrete)
 
 
 def _place(rt: Any, scene: Any, positions: NDArray[np.float64]) -> None:
