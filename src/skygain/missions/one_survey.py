@@ -177,7 +177,12 @@ def _replayed(request: SurveyRequest) -> _Setting:
             x, y = grid.xy_m_at_latlon((x, y)).tolist()
         transmitter = (x, y, z)
     scenario = replay_scenario(
-        gridded, city, uav_altitude_m=request.altitude_m, transmitter_m=transmitter, frequency_hz=request.frequency_hz
+        gridded,
+        city,
+        uav_altitude_m=request.altitude_m,
+        reach_m=grid.spacing_m,  # from further away the UAVs would fly past the recorded cells more often than over them
+        transmitter_m=transmitter,
+        frequency_hz=request.frequency_hz,
     )
     title = f"Recorded campaign {Path(str(request.replay)).name}, {len(gridded)} cells"
     return _Setting(scenario, ReplayInstrument(gridded), replay_truth(gridded), None, transmitter, title)
