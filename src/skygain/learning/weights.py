@@ -54,7 +54,7 @@ def export_weights(checkpoint: Path, path: Path, card: dict[str, Any]) -> None:
 
 def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
     """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to evaluation, and return their card."""
-    path = name if isinstance(name, Path) else find_weights(name)
+    path = Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
     tensors, card = load_checkpoint(path)
     if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
         tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}
