@@ -336,3 +336,19 @@ def test_a_file_cannot_send_the_reader_elsewhere(tmp_path: Path) -> None:
 
 def test_no_buildings_is_open_ground() -> None:
     assert not rasterised((), Grid((3, 4), 4.0)).any()
+
+
+def test_a_box_sees_the_parts_beyond_its_edge(tmp_path: Path) -> None:
+    """A building cut by the box is treated as it is in the whole city: its outline goes, since parts cover it."""
+    rows = [
+        {"building": "yes", "building:part": None, "height": 60.0, "geometry": square(0, 0, 80, 20)},
+        {"building": None, "building:part": "yes", "height": 12.0, "geometry": square(4, 0, 36, 20)},
+        {"building": None, "building:part": "yes", "height": 30.0, "geometry": square(40, 0, 40, 20)},
+    ]
+    path = write(tmp_path / "e.gpkg", rows)
+    whole = footprints_city(path)
+    part = footprints_city(path, box=(600000, 4e6, 600020, 4000020))
+    np.testing.assert_array_equal(part.height_m, whole.height_m[:5, :5])
+    assert [b.height_m for b in part.buildings] == [12]
+    with pytest.raises(InputError, match="choose a box that has some"):
+        footprints_city(path, box=(600100, 4e6, 600120, 4000020))

@@ -49,6 +49,9 @@ DEFAULT_HEIGHT_M = 3 * LEVEL_M
 _FARTHEST = 1e8
 """no projection has coordinates beyond this; arithmetic with larger ones overflows"""
 
+_MARGIN_M = 100.0
+"""how far beyond a box parts are looked for"""
+
 _COVERED = 0.9
 """share of an outline that parts must cover to replace it entirely"""
 
@@ -146,14 +149,16 @@ def _read(
         if box is not None:
             check_overlap(bounds, data_m, box, target)
     grid = grid_over(bounds, spacing_m, target)
-    buildings = _prisms(*_with_parts(polygons, tags, counts), default_height_m, counts)
-    kept = tuple(b for b in buildings if _touches(b, grid.bounds_m))
-    city = City(grid=grid, height_m=rasterised(kept, grid), buildings=kept, name=city_name(path))
-    return Reading(city, {"buildings": len(kept), **{what: count for what, count in sorted(counts.items()) if count}})
+    polygons, tags = _meeting(*_with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m)
+    if not len(polygons):
+        raise InputError("no building polygons in the box; choose a box that has some")
+    buildings = _prisms(polygons, tags, default_height_m, counts)
+    city = City(grid=grid, height_m=rasterised(buildings, grid), buildings=buildings, name=city_name(path))
+    return Reading(city, {"buildings": len(buildings), **{what: count for what, count in sorted(counts.items()) if count}})
 
 
 def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | None, Bounds | None]:
-    """Projection of the map, its bounds in metres, and the rectangle of the file's coordinates that holds it.
+    """Projection of the map, its bounds in metres, and the rectangle of the file's coordinates to read for it.
 
     All are ``None`` where they follow from the data: without a box, or with a box in the metres of a UTM zone yet to be found.
     """
@@ -161,14 +166,14 @@ def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | No
         return None, None, None
     if own is None:
         bounds = box_in_metres(box, None)
-        return None, bounds, bounds
+        return None, bounds, _grown(bounds)
     if in_degrees(box):
         target = metric_crs(own, box_in_metres(box, own))
         bounds = box_in_metres(box, target)
-        return target, bounds, transformed_bounds(bounds, target, own)
+        return target, bounds, transformed_bounds(_grown(bounds), target, own)
     bounds = box_in_metres(box, own)
     if own.is_projected and metric_crs(own, bounds) == own:
-        return own, bounds, bounds
+        return own, bounds, _grown(bounds)
     return None, None, None
 
 
@@ -229,7 +234,7 @@ def _polygons(
 
 def _with_parts(
     polygons: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
-) -> tuple[list[Any], list[BuildingTags]]:
+) -> tuple[NDArray[np.object_], list[BuildingTags]]:
     """Apply the rule for parts: outlines without what their parts cover, then the parts.
 
     A part belongs to an outline if more than half of it lies inside.
@@ -256,13 +261,15 @@ def _with_parts(
                     part_tags[int(j)] = replace(part_tags[int(j)], height_m=tags[i].height_m)
         found += pieces
         found_tags += [tags[i]] * len(pieces)
-    return [*found, *polygons[parts]], [*found_tags, *part_tags.values()]
+    return np.array([*found, *polygons[parts]], dtype=object), [*found_tags, *part_tags.values()]
 
 
-def _prisms(polygons: list[Any], tags: list[BuildingTags], default_height_m: float, counts: Counter[str]) -> list[Building]:
+def _prisms(
+    polygons: NDArray[np.object_], tags: list[BuildingTags], default_height_m: float, counts: Counter[str]
+) -> tuple[Building, ...]:
     shapely = require("shapely", "geo")
     found = []
-    for polygon, tag in zip(polygons, tags, strict=True):
+    for polygon, tag in zip(shapely.orient_polygons(shapely.remove_repeated_points(polygons)), tags, strict=True):
         height, base = tag.height_m, tag.base_m
         counts["heights from levels"] += tag.from_levels
         counts["heights or levels not understood"] += tag.misread
@@ -272,10 +279,25 @@ def _prisms(polygons: list[Any], tags: list[BuildingTags], default_height_m: flo
         if base >= height:
             base = 0.0
             counts["undersides above the top, taken as the ground"] += 1
-        polygon = shapely.orient_polygons(shapely.remove_repeated_points(polygon))
         rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
         found.append(Building(footprint_m=rings[0], height_m=float(height), base_m=float(base), holes_m=tuple(rings[1:])))
-    return found
+    return tuple(found)
+
+
+def _meeting(
+    polygons: NDArray[np.object_], tags: list[BuildingTags], bounds_m: Bounds
+) -> tuple[NDArray[np.object_], list[BuildingTags]]:
+    """The polygons whose bounds overlap ``bounds_m``."""
+    west, south, east, north = bounds_m
+    x0, y0, x1, y1 = require("shapely", "geo").bounds(polygons).T
+    kept = np.flatnonzero((x1 > west) & (x0 < east) & (y1 > south) & (y0 < north))
+    return polygons[kept], [tags[i] for i in kept]
+
+
+def _grown(bounds_m: Bounds) -> Bounds:
+    """The bounds with a margin in which the parts of buildings at their edge are found."""
+    west, south, east, north = bounds_m
+    return west - _MARGIN_M, south - _MARGIN_M, east + _MARGIN_M, north + _MARGIN_M
 
 
 def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
@@ -297,9 +319,3 @@ def _placed(geometries: NDArray[np.object_]) -> NDArray[np.bool_]:
     """Which geometries exist and have coordinates that can be some place on Earth, in any unit."""
     bounds: NDArray[np.float64] = require("shapely", "geo").bounds(geometries)  # [geometry, edge], NaN for none
     return np.all(np.abs(bounds) < _FARTHEST, axis=1)
-
-
-def _touches(building: Building, bounds_m: Bounds) -> bool:
-    west, south, east, north = bounds_m
-    (x0, y0), (x1, y1) = building.footprint_m.min(axis=0), building.footprint_m.max(axis=0)
-    return bool(x1 > west and x0 < east and y1 > south and y0 < north)
