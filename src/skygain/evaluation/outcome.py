@@ -102,6 +102,12 @@ class Outcome:
         truth = np.where(self.scenario.outdoor, np.asarray(self.truth_db, dtype=float), np.nan)
         return truth if np.isfinite(truth).any() else None
 
+    @property
+    def truth_is_complete(self) -> bool:
+        """Whether the truth is known in every outdoor cell; it is not where it was recorded."""
+        truth = self.outdoor_truth_db
+        return truth is not None and bool(np.isfinite(truth[self.scenario.outdoor]).all())
+
     @cached_property
     def measured_db(self) -> Array:
         """``[row, col]`` mean of the readings taken in each cell, NaN where there is none."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 __all__ = ["UAV_COLOURS", "paths_picture", "rmse_curves", "rmse_picture", "survey_maps"]
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,7 +45,8 @@ def survey_maps(outcome: Outcome, path: Path) -> None:
     low, high = _limits(np.concatenate([m[np.isfinite(m)] for m in shown]), (1, 99.5))
     figure = _figure((16.2, 5.3) if truth is None else (11.0, 10.2), outcome)
     axes = figure.subplots(*((1, 3) if truth is None else (2, 2))).ravel()
-    for panel, values, name in zip(axes, shown, ("Readings" if truth is None else "Truth", "Estimate"), strict=False):
+    names = ("Readings" if truth is None else "Truth" if outcome.truth_is_complete else "Truth, where known", "Estimate")
+    for panel, values, name in zip(axes, shown, names, strict=False):
         image = _map(panel, outcome, values, name, cmap="viridis", vmin=low, vmax=high)
         _colour_bar(figure, image, panel, "channel gain in dB", extend="both")
         _transmitter(panel, outcome)
@@ -70,6 +72,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     """Where the UAVs flew, over the building heights; one colour per UAV, a circle at its start, a square at its end."""
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     grid, scenario = outcome.grid, outcome.scenario
     history = outcome.result.swarm.history
@@ -84,7 +87,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     if np.isfinite(height).any():
         _colour_bar(figure, image, axes, "building height in m")
     if scenario.no_fly is not None and scenario.no_fly.any():
-        _hatch(axes, outcome, scenario.no_fly, "xxx", "#B3261E")
+        _no_fly(axes, outcome, scenario.no_fly)
     low = (scenario.city.height_m > 0) & ~scenario.city.obstructed(scenario.uav_altitude_m)
     if low.any():
         _hatch(axes, outcome, low, "...", "white")
@@ -112,6 +115,8 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     ]
     if outcome.transmitter_m is not None and _on_map(outcome):
         handles.append(Line2D([], [], ls="", marker="*", color="#FFD23F", mec=_INK, ms=12, label="transmitter"))
+    if scenario.no_fly is not None and scenario.no_fly.any():
+        handles.append(Patch(fc=(0.70, 0.15, 0.12, 0.10), ec="#B3261E", lw=0.8, label="no-fly"))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False)
     _save(figure, path)
 
@@ -125,15 +130,8 @@ def rmse_picture(outcome: Outcome, path: Path) -> None:
         colour = {"mean_std_db": _SOFT}.get(name, _LINE_COLOURS[number])
         style = {"mean_std_db": "--"}.get(name, "-")
         values = outcome.scores[name]
-        axes.plot(outcome.steps, values, style, color=colour, lw=2, label=score_label(name))
-        axes.annotate(
-            f"{values[-1]:.1f}",
-            (outcome.steps[-1], values[-1]),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            color=colour,
-        )
+        label = f"{score_label(name)}  {values[-1]:.1f}" if np.isfinite(values[-1]) else score_label(name)
+        axes.plot(outcome.steps, values, style, color=colour, lw=2, label=label)
     errors = any(name.startswith("rmse") for name in names)
     _curve_axes(axes, "dB", "Error against steps" if errors else "Predicted uncertainty against steps")
     if names:
@@ -197,9 +195,8 @@ def _figure(size: tuple[float, float], outcome: Outcome | None = None) -> Figure
     figure = Figure(figsize=size, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     if outcome is not None:
-        figure.suptitle(
-            _shortened(outcome.title, 80), x=0.01, ha="left", fontsize=14, fontweight="bold", color=_INK, parse_math=False
-        )
+        title = textwrap.fill(_shortened(outcome.title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=_INK, parse_math=False)
     return figure
 
 
@@ -240,6 +237,19 @@ def _hatch(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_], hatch: str, co
     squares = grid.xy_m(np.argwhere(mask))[:, None] + corners
     codes = np.tile([Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY], len(squares))
     axes.add_patch(PathPatch(Outline(squares.reshape(-1, 2), codes), fc="none", ec=colour, lw=0, hatch=hatch, zorder=2))
+
+
+def _no_fly(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_]) -> None:
+    """Tint the no-fly cells and draw a line where flying ends; a hatch would drown a map that is mostly no-fly."""
+    from matplotlib.collections import LineCollection
+
+    tint = np.zeros((*mask.shape, 4))
+    tint[mask] = (0.70, 0.15, 0.12, 0.10)
+    axes.imshow(tint, origin="lower", extent=_extent(outcome.grid), interpolation="nearest")
+    grid, half = outcome.grid, outcome.grid.spacing_m / 2
+    upper = grid.xy_m(np.argwhere(mask[1:] != mask[:-1]))[:, None] + [(-half, half), (half, half)]
+    right = grid.xy_m(np.argwhere(mask[:, 1:] != mask[:, :-1]))[:, None] + [(half, -half), (half, half)]
+    axes.add_collection(LineCollection([*upper, *right], colors="#B3261E", linewidths=0.8, alpha=0.8, zorder=2))
 
 
 def _thin_paths(axes: Axes, outcome: Outcome) -> None:

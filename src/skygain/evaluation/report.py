@@ -127,7 +127,11 @@ def _views(outcome: Outcome, frames: Sequence[Frame]) -> dict[str, dict[str, Any
             "colours": "RdBu_r",
             "label": "error (estimate − truth) in dB",
         }
-        views["truth"] = {"short": "Truth", **gain, "label": "true channel gain in dB"}
+        views["truth"] = {
+            "short": "Truth",
+            **gain,
+            "label": f"true channel gain in dB{'' if outcome.truth_is_complete else ', where known'}",
+        }
     return views
 
 
@@ -251,7 +255,7 @@ def _lede(outcome: Outcome) -> str:
         text += f". The transmitter at x {x:.0f} m, y {y:.0f} m, {z:g} m high was {told} the predictor"
     stopped = _STOPPED.get(outcome.result.stopped, outcome.result.stopped)
     text = _escaped(f"{text}; the survey ended after {swarm.steps_flown} steps: {stopped}.")
-    return re.sub(r"(\d) (m|GHz|UAVs?|steps)\b", r"\1&nbsp;\2", text)
+    return re.sub(r"\b([xy]|\d+) (?=-?\d|m\b|GHz|UAVs?\b|steps)", r"\1&nbsp;", text)
 
 
 def _tiles(outcome: Outcome) -> Iterator[str]:
@@ -293,7 +297,7 @@ def _key(outcome: Outcome) -> Iterator[str]:
         beyond = "" if west <= x <= east and south <= y <= north else " (beyond the map)"
         yield f'        <li><i class="swatch star">★</i>transmitter{beyond}</li>'
     if outcome.scenario.no_fly is not None and outcome.scenario.no_fly.any():
-        yield '        <li><i class="swatch no-fly"></i>no-fly zone</li>'
+        yield '        <li><i class="swatch no-fly"></i>edge of a no-fly zone</li>'
 
 
 def _score_table(outcome: Outcome) -> str:

@@ -187,16 +187,22 @@ async function main() {
     place.top + (rows - 1 - Math.floor(cell / cols)) * place.scale,
   ];
 
+  // Only its edge: in a replay nearly the whole map is no-fly, and the estimate there should still be seen.
   function drawNoFly(g) {
     if (!data.no_fly) return;
-    g.strokeStyle = "#b3261e";
+    g.strokeStyle = "#d0352b";
     g.lineWidth = 1;
     g.beginPath();
     for (let cell = 0; cell < cells; cell++) {
-      if (!data.no_fly[cell]) continue;
       const [px, py] = corner(cell);
-      g.moveTo(px, py + place.scale);
-      g.lineTo(px + place.scale, py);
+      if ((cell + 1) % cols && data.no_fly[cell] !== data.no_fly[cell + 1]) {
+        g.moveTo(px + place.scale, py);
+        g.lineTo(px + place.scale, py + place.scale);
+      }
+      if (cell + cols < cells && data.no_fly[cell] !== data.no_fly[cell + cols]) {
+        g.moveTo(px, py);
+        g.lineTo(px + place.scale, py);
+      }
     }
     g.stroke();
   }
