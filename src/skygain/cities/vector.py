@@ -114,7 +114,8 @@ def _gdal(is_osm: bool) -> Iterator[dict[str, str]]:
         except InputError:
             raise
         except Exception as error:  # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
-            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            # GDAL's second sentence advises an option we do not have.
+            reason = " ".join(str(error).split(";")[0].split())[:200] or type(error).__name__
             raise InputError(f"not readable as building footprints ({reason}); it may be cut off or of another format") from error
 
 
