@@ -94,7 +94,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
 
     # UAVs that share a street are drawn beside each other, within a cell.
     offsets = (np.arange(len(history)) - (len(history) - 1) / 2) * grid.spacing_m * min(0.16, 0.7 / max(len(history), 1))
-    handles = []
+    handles: list[Any] = []
     for uav, cells in enumerate(history):
         colour = UAV_COLOURS[uav % len(UAV_COLOURS)]
         x, y = (grid.xy_m(cells) + offsets[uav]).T

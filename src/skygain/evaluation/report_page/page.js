@@ -105,22 +105,20 @@ async function main() {
     const { low, high, colours } = views[state.view];
     const table = data[colours];
     const image = new ImageData(cols, rows);
+    const pixels = image.data;
     const value = valueAt[state.view];
     for (let cell = 0; cell < cells; cell++) {
       const row = Math.floor(cell / cols);
       const at = ((rows - 1 - row) * cols + (cell % cols)) * 4; // row 0 is the south, the canvas begins in the north
-      let colour = theme.plot;
-      if (data.indoor[cell]) {
-        const rank = data.height[cell] / 255;
-        colour = theme.roofLow.map((c, i) => c + rank * (theme.roofHigh[i] - c));
-      } else {
-        const v = value(state.frame, cell);
-        if (v !== null) {
-          const index = 3 * Math.max(0, Math.min(255, Math.round(((v - low) / (high - low)) * 255)));
-          colour = [table[index], table[index + 1], table[index + 2]];
-        }
+      const indoors = data.indoor[cell];
+      const rank = data.height[cell] / 255;
+      const v = indoors ? null : value(state.frame, cell);
+      const index = v === null ? 0 : 3 * Math.max(0, Math.min(255, Math.round(((v - low) / (high - low)) * 255)));
+      for (let i = 0; i < 3; i++) {
+        if (indoors) pixels[at + i] = theme.roofLow[i] + rank * (theme.roofHigh[i] - theme.roofLow[i]);
+        else pixels[at + i] = v === null ? theme.plot[i] : table[index + i];
       }
-      image.data.set([...colour, 255], at);
+      pixels[at + 3] = 255;
     }
     field.getContext("2d").putImageData(image, 0, 0);
   }
