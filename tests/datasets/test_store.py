@@ -17,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.datasets import ChannelDataset, open_sample, write_dataset
 from skygain.datasets.layout import VARIABLES, CityRecord
 from skygain.errors import InputError
@@ -260,6 +261,15 @@ def test_the_sample_is_small_and_has_every_split() -> None:
         link = dataset.link(index)
         assert np.isfinite(link.truth_db[link.outdoor]).all()
         assert -300 < link.truth_db[link.outdoor].max() < 0
+
+
+def test_the_sample_holds_generated_cities() -> None:
+    dataset = open_sample()
+    for i, seed in enumerate(dataset.city_numbers):
+        np.testing.assert_array_equal(dataset.city(i).height_m, manhattan_city(seed).height_m)
+        sites = transmitter_sites(manhattan_city(seed)).astype(np.float32)
+        for transmitter in dataset.transmitters_m[dataset.city_index == i]:
+            assert (sites == transmitter).all(axis=1).any()
 
 
 def test_a_copy_of_the_sample_opens_anywhere(tmp_path: Path) -> None:
