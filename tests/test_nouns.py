@@ -136,3 +136,21 @@ def test_importing_the_core_loads_nothing_heavy() -> None:
     code = f"import sys, {core}; print([m for m in {heavy} if m in sys.modules])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"
+
+
+def test_a_point_in_a_courtyard_is_outdoors() -> None:
+    outer = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)])
+    yard = Building(outer, 12.0, holes_m=(outer * 0.5 + 5.0,))
+    city = City(Grid((5, 5), 4.0, (2.0, 2.0)), np.full((5, 5), 12.0), (yard,))
+    assert city.roof_m(2.0, 10.0) == 12.0
+    assert city.roof_m(10.0, 10.0) == 0.0
+    assert city.roof_m(30.0, 10.0) == 0.0
+    Scenario(city, uav_altitude_m=15.0, prediction_altitude_m=15.0, transmitter_m=(10.0, 10.0, 1.5))
+
+
+def test_points_in_polygons_agree_with_shapely(rng: np.random.Generator) -> None:
+    shapely = pytest.importorskip("shapely")
+    star = np.array([(np.cos(a) * r, np.sin(a) * r) for a, r in zip(np.arange(10) * np.pi / 5, [10.0, 4.0] * 5, strict=True)])
+    points = rng.uniform(-11, 11, (300, 2))
+    ours = [Building(star, 5.0).covers(x, y) for x, y in points]
+    assert ours == shapely.contains_xy(shapely.Polygon(star), points).tolist()

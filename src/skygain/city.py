@@ -25,6 +25,17 @@ class Building:
     holes_m: tuple[NDArray[np.float64], ...] = ()
     """inner rings (courtyards), each ``[corner, (x, y)]``"""
 
+    def covers(self, x_m: float, y_m: float) -> bool:
+        """Whether the point lies inside the footprint (even-odd rule over outer and inner rings)."""
+        inside = False
+        for ring in (self.footprint_m, *self.holes_m):
+            (x0, y0), (x1, y1) = ring.T, np.roll(ring, -1, axis=0).T
+            crosses = (y0 > y_m) != (y1 > y_m)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at = x0 + (y_m - y0) * (x1 - x0) / (y1 - y0)
+            inside ^= bool(np.count_nonzero(crosses & (x_m < at)) % 2)
+        return inside
+
     def shifted(self, dx_m: float, dy_m: float) -> Building:
         """The same building moved by (dx, dy)."""
         step = np.array([dx_m, dy_m])
@@ -67,6 +78,16 @@ class City:
     def obstructed(self, altitude_m: float) -> NDArray[np.bool_]:
         """``[row, col]`` cells where a UAV or receiver at ``altitude_m`` would be inside a building (height >= altitude)."""
         return self.height_m >= altitude_m
+
+    def roof_m(self, x_m: float, y_m: float) -> float:
+        """Height of what is built at a point, 0 on open ground and off the map: from the polygons if known, else from its cell."""
+        if self.buildings:
+            return max((b.height_m for b in self.buildings if b.covers(x_m, y_m)), default=0.0)
+        cell = self.grid.cells_at((x_m, y_m))
+        return float(self.height_m[tuple(cell)]) if self.grid.contains(cell) else 0.0
+
+    def __repr__(self) -> str:
+        return f"City({self.name!r}, {self.grid}, {len(self.buildings)} buildings)"
 
     def cropped(self, row: int, col: int, shape: tuple[int, int], *, rebase: bool = False) -> City:
         """The window of ``shape`` cells whose south-west cell is (row, col).

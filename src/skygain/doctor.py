@@ -23,7 +23,7 @@ CORE = ("numpy", "scipy", "numba", "xarray", "zarr", "h5netcdf", "matplotlib", "
 
 EXTRAS = {
     "raytrace": ("sionna-rt", "shapely"),
-    "geo": ("rasterio", "pyproj", "shapely", "pyogrio", "geopandas"),
+    "geo": ("rasterio", "pyproj", "shapely", "pyogrio"),
     "dev": ("pytest", "hypothesis", "ruff", "mypy", "scikit-learn", "pycraf"),
 }
 """optional features and their packages"""

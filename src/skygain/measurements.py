@@ -88,6 +88,8 @@ class Measurements:
     def taken(self, index: ArrayLike) -> Measurements:
         """The readings selected by an integer index or boolean mask."""
         index = np.asarray(index)
+        if index.size == 0:
+            index = index.astype(np.int64)  # an empty list arrives as floats
         return Measurements(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def visited(self, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -92,9 +92,9 @@ def check_transmitter(city: City, transmitter_m: tuple[float, float, float]) -> 
         raise InputError(
             f"a transmitter position is three finite numbers x, y, z in metres, got {transmitter_m}; give e.g. 120,80,1.5"
         )
-    cell = city.grid.cells_at(position[:2])
-    if city.grid.contains(cell) and city.height_m[tuple(cell)] >= position[2] and city.height_m[tuple(cell)] > 0:
+    roof_m = city.roof_m(position[0], position[1])
+    if roof_m > 0 and roof_m >= position[2]:
         raise InputError(
             f"the transmitter at x={position[0]:g} m, y={position[1]:g} m, z={position[2]:g} m is inside a building "
-            f"{city.height_m[tuple(cell)]:g} m high; move it to open ground or above the roof"
+            f"{roof_m:g} m high; move it to open ground or above the roof"
         )

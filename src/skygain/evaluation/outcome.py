@@ -64,6 +64,9 @@ class Outcome:
     true_transmitter_m: tuple[float, float, float] | None = None
     """(x, y, z) of the transmitter where it was withheld from the predictor but is known to the truth"""
 
+    level_label: str = "channel gain in dB"
+    """what is mapped, with its unit; a recording may hold received power instead"""
+
     @property
     def scenario(self) -> Scenario:
         """What was known before the survey."""

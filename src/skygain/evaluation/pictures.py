@@ -48,7 +48,7 @@ def survey_maps(outcome: Outcome, path: Path) -> None:
     names = ("Readings" if truth is None else "Truth" if outcome.truth_is_complete else "Truth, where known", "Estimate")
     for panel, values, name in zip(axes, shown, names, strict=False):
         image = _map(panel, outcome, values, name, cmap="viridis", vmin=low, vmax=high)
-        _colour_bar(figure, image, panel, "channel gain in dB", extend="both")
+        _colour_bar(figure, image, panel, outcome.level_label, extend="both")
         _transmitter(panel, outcome)
     _thin_paths(axes[1], outcome)
     if truth is not None:

@@ -106,9 +106,9 @@ def _views(outcome: Outcome, frames: Sequence[Frame]) -> dict[str, dict[str, Any
     stds = np.stack([frame.std_db[outdoor] for frame in frames])
     shown = means if truth is None else truth[np.isfinite(truth)]
     low, high = _round_range(*np.percentile(shown, (1, 99.5)))
-    gain = {"low": low, "high": high, "colours": "viridis", "label": "channel gain in dB"}
+    gain = {"low": low, "high": high, "colours": "viridis", "label": outcome.level_label}
     views = {
-        "mean": {"short": "Estimate", **gain, "label": "estimated channel gain in dB"},
+        "mean": {"short": "Estimate", **gain, "label": f"estimated {outcome.level_label}"},
         "std": {
             "short": "Uncertainty",
             "low": 0.0,
@@ -130,7 +130,7 @@ def _views(outcome: Outcome, frames: Sequence[Frame]) -> dict[str, dict[str, Any
         views["truth"] = {
             "short": "Truth",
             **gain,
-            "label": f"true channel gain in dB{'' if outcome.truth_is_complete else ', where known'}",
+            "label": f"true {outcome.level_label}{'' if outcome.truth_is_complete else ', where known'}",
         }
     return views
 

@@ -110,6 +110,7 @@ class _Setting:
     ray_traced: NDArray[np.bool_] | None
     transmitter_m: tuple[float, float, float] | None
     title: str
+    level_label: str = "channel gain in dB"
 
 
 def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Setting:
@@ -185,7 +186,8 @@ def _replayed(request: SurveyRequest) -> _Setting:
         frequency_hz=request.frequency_hz,
     )
     title = f"Recorded campaign {Path(str(request.replay)).name}, {len(gridded)} cells"
-    return _Setting(scenario, ReplayInstrument(gridded), replay_truth(gridded), None, transmitter, title)
+    label = "channel gain in dB" if gridded.quantity == "gain" else "received power in dBm"
+    return _Setting(scenario, ReplayInstrument(gridded), replay_truth(gridded), None, transmitter, title, label)
 
 
 def run_survey(request: SurveyRequest, out: Path, *, overwrite: bool = False, progress: Progress | None = None) -> str:
@@ -236,6 +238,7 @@ def run_survey(request: SurveyRequest, out: Path, *, overwrite: bool = False, pr
         title=f"{setting.title}: {method.label}, {request.uavs} UAVs",
         config=_resolved(request),
         true_transmitter_m=setting.transmitter_m,
+        level_label=setting.level_label,
     )
     notes = _write(outcome, out)
     return _summary(result, outcome, notes, out)
