@@ -184,3 +184,16 @@ def test_real_campaign_on_the_authors_box(shared_data):
     means = table.query("0 <= row < 128 and 0 <= col < 128").groupby(["row", "col"]).rsrp.mean()
     assert gridded.cell.tolist() == [list(cell) for cell in means.index]
     np.testing.assert_allclose(gridded.level_db, means)
+
+
+def test_real_loggers_write_copies(shared_data):
+    # Why copies count once; docs/instruments.md quotes these numbers.
+    recording = read_recording(shared_data / "duke_cbrs_abc.csv")
+    lines = (shared_data / "duke_cbrs_abc.csv").read_text().splitlines()
+    assert (len(recording), len(lines) - 1 - len(set(lines[1:]))) == (14110, 4845)
+    held = np.zeros(3, dtype=int)
+    for pci in "ABC":
+        phone = read_recording(shared_data / "duke_cbrs_abc.csv", where={"PCI": pci, "device": "Samsung"})
+        pairs = np.column_stack([phone.latlon, phone.level_db])
+        held += len(phone), len(np.unique(phone.latlon, axis=0)), len(np.unique(pairs, axis=0))
+    assert held.tolist() == [6249, 4490, 4493]
