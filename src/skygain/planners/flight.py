@@ -8,7 +8,18 @@ the UAVs choose one after another, each leaving alone the cells that undecided U
 
 from __future__ import annotations
 
-__all__ = ["Airspace", "bfs", "followed", "is_free_step", "legal_moves", "resolve_step", "shortest_path"]
+__all__ = [
+    "Airspace",
+    "bfs",
+    "blocked_home",
+    "followed",
+    "home_margins",
+    "is_free_step",
+    "keeps_apart",
+    "legal_moves",
+    "may_enter",
+    "resolve_step",
+]
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -73,31 +84,7 @@ def bfs(flyable, row, col, out, queue):
 
 
 @njit(cache=True)
-def _descend(field, row, col):
-    """Cells from (row, col) down a distance field to its source, the first cell left out."""
-    rows, cols = field.shape
-    path = np.empty((field[row, col], 2), dtype=np.int64)
-    for k in range(len(path)):
-        for m in range(4):
-            i, j = row + DROW[m], col + DCOL[m]
-            if 0 <= i < rows and 0 <= j < cols and field[i, j] == field[row, col] - 1:
-                row, col = i, j
-                break
-        path[k, 0], path[k, 1] = row, col
-    return path
-
-
-def shortest_path(flyable: NDArray[np.bool_], start: Cells, goal: Cells) -> Cells:
-    """``[k, (row, col)]`` cells of a shortest way from ``start`` (left out) to ``goal``; empty if there is none."""
-    field = np.empty(flyable.shape, dtype=np.int32)
-    bfs(flyable, int(goal[0]), int(goal[1]), field, np.empty(flyable.size, dtype=np.int64))
-    if field[tuple(start)] <= 0:
-        return np.empty((0, 2), dtype=np.int64)
-    return _descend(field, int(start[0]), int(start[1]))
-
-
-@njit(cache=True)
-def _keeps_apart(row, col, other_row, other_col, air):
+def keeps_apart(row, col, other_row, other_col, air):
     """Whether two UAVs in these cells respect the distance rules."""
     if air.separate and row == other_row and col == other_col:
         return False
@@ -107,7 +94,7 @@ def _keeps_apart(row, col, other_row, other_col, air):
 
 
 @njit(cache=True)
-def _enters(uav, row, col, left, air):
+def may_enter(uav, row, col, left, air):
     """Whether obstacles, the map's edge and the way home let ``uav`` enter (row, col) with ``left`` moves before this one."""
     rows, cols = air.flyable.shape
     if not (0 <= row < rows and 0 <= col < cols) or not air.flyable[row, col]:
@@ -124,7 +111,7 @@ def legal_moves(uav, now, then, decided, left, air, legal):
         if left[uav] <= 0:
             continue
         row, col = now[uav, 0] + DROW[m], now[uav, 1] + DCOL[m]
-        if not _enters(uav, row, col, left[uav], air):
+        if not may_enter(uav, row, col, left[uav], air):
             continue
         fits = True
         for other in range(len(now)):
@@ -132,7 +119,7 @@ def legal_moves(uav, now, then, decided, left, air, legal):
                 continue
             held_row, held_col = (then[other, 0], then[other, 1]) if decided[other] else (now[other, 0], now[other, 1])
             swaps = held_row == now[uav, 0] and held_col == now[uav, 1] and row == now[other, 0] and col == now[other, 1]
-            if (air.separate and swaps) or not _keeps_apart(row, col, held_row, held_col, air):
+            if (air.separate and swaps) or not keeps_apart(row, col, held_row, held_col, air):
                 fits = False
                 break
         legal[m] = fits
@@ -149,7 +136,7 @@ def is_free_step(now, then, left, air):
         for b in range(a + 1, len(now)):
             if left[b] <= 0:
                 continue
-            if not _keeps_apart(then[a, 0], then[a, 1], then[b, 0], then[b, 1], air):
+            if not keeps_apart(then[a, 0], then[a, 1], then[b, 0], then[b, 1], air):
                 return False
             there = then[a, 0] == now[b, 0] and then[a, 1] == now[b, 1]
             back = then[b, 0] == now[a, 0] and then[b, 1] == now[a, 1]
@@ -163,13 +150,13 @@ def _is_boxed_in(uav, now, then, left, air):
     """Whether ``uav`` may hover: every move is blocked by obstacles, the way home, or another UAV before or after the step."""
     for m in range(4):
         row, col = now[uav, 0] + DROW[m], now[uav, 1] + DCOL[m]
-        if not _enters(uav, row, col, left[uav], air):
+        if not may_enter(uav, row, col, left[uav], air):
             continue
         blocked = False
         for other in range(len(now)):
             if other != uav and left[other] > 0 and (air.separate or air.min_cells > 0):
-                apart_now = _keeps_apart(row, col, now[other, 0], now[other, 1], air)
-                if not (apart_now and _keeps_apart(row, col, then[other, 0], then[other, 1], air)):
+                apart_now = keeps_apart(row, col, now[other, 0], now[other, 1], air)
+                if not (apart_now and keeps_apart(row, col, then[other, 0], then[other, 1], air)):
                     blocked = True
                     break
         if not blocked:
@@ -206,7 +193,7 @@ def _search_step(now, ranks, left, air, then):
             if choice[k] < 4:
                 then[k, 0] += DROW[ranks[k, choice[k]]]
                 then[k, 1] += DCOL[ranks[k, choice[k]]]
-            if not _enters(k, then[k, 0], then[k, 1], left[k], air) or not is_free_step(now[: k + 1], then[: k + 1], left, air):
+            if not may_enter(k, then[k, 0], then[k, 1], left[k], air) or not is_free_step(now[: k + 1], then[: k + 1], left, air):
                 continue
         k += 1
     return False
@@ -224,7 +211,7 @@ def resolve_step(now, score, left, margin, air, then):
         for uav in range(n):
             for m in range(4):
                 row, col = now[uav, 0] + DROW[m], now[uav, 1] + DCOL[m]
-                if _enters(uav, row, col, left[uav], air):
+                if may_enter(uav, row, col, left[uav], air):
                     wish[uav, m] -= _HOMESICK * max(0, margin - (left[uav] - 1 - air.home[uav, row, col]))
     ranks = np.empty((n, 4), dtype=np.int64)
     for uav in range(n):
@@ -234,7 +221,7 @@ def resolve_step(now, score, left, margin, air, then):
             for k in range(4):
                 m = ranks[uav, k]
                 row, col = now[uav, 0] + DROW[m], now[uav, 1] + DCOL[m]
-                if _enters(uav, row, col, left[uav], air):
+                if may_enter(uav, row, col, left[uav], air):
                     then[uav, 0], then[uav, 1] = row, col
                     break
     # a UAV walled in on all sides hovers, which is legal as such; anyone else has a wish by now
@@ -242,7 +229,7 @@ def resolve_step(now, score, left, margin, air, then):
         homeward = True
         for uav in range(n):
             stays = then[uav, 0] == now[uav, 0] and then[uav, 1] == now[uav, 1]
-            if left[uav] > 0 and stays and not _enters(uav, now[uav, 0], now[uav, 1], left[uav], air):
+            if left[uav] > 0 and stays and not may_enter(uav, now[uav, 0], now[uav, 1], left[uav], air):
                 homeward = False
         if homeward:
             return True
@@ -257,7 +244,7 @@ def resolve_step(now, score, left, margin, air, then):
                     then[uav, 0] += DROW[ranks[uav, k]]
                     then[uav, 1] += DCOL[ranks[uav, k]]
                     break
-        elif left[uav] > 0 and not _enters(uav, now[uav, 0], now[uav, 1], left[uav], air):
+        elif left[uav] > 0 and not may_enter(uav, now[uav, 0], now[uav, 1], left[uav], air):
             stranded = True  # hovering would cost the way home
         decided[uav] = True
     return not stranded or _search_step(now, ranks, left, air, then)
