@@ -53,7 +53,7 @@ class ChannelDataset:
         """``[link]`` position of the city of each link"""
         self.transmitters_m: NDArray[np.float64] = arrays["tx_m"][:].astype(np.float64)
         """``[link, (x, y, z)]``"""
-        self.grid = _grid(arrays["x"][:], arrays["y"][:])
+        self.grid = _grid(arrays["x"][:], arrays["y"][:], path)
         """the grid that all cities share"""
         self.city = lru_cache(maxsize=32)(self._city)
         self._block = lru_cache(maxsize=8)(self._read_block)
@@ -316,9 +316,9 @@ def _open_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return arrays, dict(group.attrs)
 
 
-def _grid(x: NDArray[np.floating], y: NDArray[np.floating]) -> Grid:
+def _grid(x: NDArray[np.floating], y: NDArray[np.floating], path: Path) -> Grid:
     """The grid whose cell centres are ``x[col]`` and ``y[row]``."""
     steps = np.concatenate([np.diff(x.astype(float)), np.diff(y.astype(float))])
     if len(x) < 2 or len(y) < 2 or not np.allclose(steps, steps[0], rtol=1e-4) or not steps[0] > 0:
-        raise InputError("x and y must be at least two cell centres at equal, growing steps; build the data set anew")
+        raise InputError(f"{path}: x and y must be at least two cell centres at equal, growing steps; build the data set anew")
     return Grid(shape=(len(y), len(x)), spacing_m=float(round(steps.mean(), 6)), origin_m=(float(x[0]), float(y[0])))
