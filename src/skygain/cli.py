@@ -263,7 +263,7 @@ def methods() -> None:
 
 @dataset_app.command("build")
 def dataset_build(
-    preset: Annotated[str, typer.Option(help="paper (300 cities), small or tiny.")],
+    preset: Annotated[str, typer.Option(help="paper (300 cities), small, tiny, or sample (what the package ships).")],
     out: Annotated[Path, typer.Option(help="The data set to write, PATH.zarr.zip.")],
     workers: Annotated[int, typer.Option(help="Cities traced at the same time.")] = 1,
     resume: Annotated[bool, typer.Option(help="Go on from the cities already traced; --no-resume starts again.")] = True,

@@ -91,7 +91,7 @@ def _dataset_and_link(spec: str) -> tuple[ChannelDataset, int | None] | None:
 def _dataset_world(
     dataset: ChannelDataset, number: int | None, altitude_m: float, crop: int | None, rng: np.random.Generator
 ) -> World:
-    links = [i for split in ("T1", "T2", "T3", "T4") for i in dataset.links(split, altitude_m)]
+    links = dataset.links(None, altitude_m)
     if not links:
         raise InputError(f"that data set has no map at {altitude_m:g} m; choose an altitude it holds (skygain dataset info)")
     if number is None:
