@@ -24,11 +24,12 @@ class MeanBelief(Belief):
         return MeanBelief(self.scenario, self.measurements.extended(measurements))
 
     def posterior(self) -> Posterior:
-        gain = self.measurements.gain_db
-        mean = np.full(self.scenario.grid.shape, gain.mean() if len(gain) else -130.0)
-        variance = np.full(self.scenario.grid.shape, gain.var() + 1.0 if len(gain) > 1 else 900.0)
         rows, cols = self.measurements.cell.T
-        mean[rows, cols] = gain
+        measured = np.full(self.scenario.grid.shape, np.nan)
+        measured[rows, cols] = self.measurements.gain_db  # a cell counts once, however often it was visited
+        seen = measured[np.isfinite(measured)]
+        mean = np.where(np.isfinite(measured), measured, seen.mean() if len(seen) else -130.0)
+        variance = np.full(mean.shape, seen.var() + 1.0 if len(seen) > 1 else 900.0)
         variance[rows, cols] = self.measurements.noise_std_db**2
         return Posterior(mean, variance)
 

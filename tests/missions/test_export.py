@@ -16,13 +16,12 @@ from hypothesis import strategies as st
 
 from skygain.evaluation.outcome import Outcome
 from skygain.missions.export import (
-    json_text,
-    plain,
     write_measurements_csv,
     write_radio_map_nc,
     write_radio_map_tif,
     write_results_json,
 )
+from skygain.strict_json import json_text, plain
 
 UTM = "EPSG:32617"
 HOSTILE = "</script><b>\"'&\x00\ud800 \u2028{{data}} ${x} 東京"

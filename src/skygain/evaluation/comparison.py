@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from skygain.errors import InputError
 from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.rollout import rollout
+from skygain.files import writable_folder
 from skygain.swarm import FlightRules
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
         )
     if workers is not None and workers < 1:
         raise InputError(f"workers must be 1 or more, got {workers}")
-    journal = out / "rollouts.jsonl"
+    journal = writable_folder(out) / "rollouts.jsonl"
     done: dict[tuple[int, str], dict[str, Any]] = {}
     for line in _read_lines(journal):
         if line["fingerprint"] != config.fingerprint:

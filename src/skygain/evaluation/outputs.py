@@ -4,12 +4,12 @@ from __future__ import annotations
 
 __all__ = ["run_comparison"]
 
-import json
 from pathlib import Path
 
 from skygain.evaluation.comparison import ComparisonConfig, Progress, compare
 from skygain.evaluation.tables import comparison_json, comparison_markdown, curve_intervals
-from skygain.files import atomic_write, writable_folder
+from skygain.files import atomic_write
+from skygain.strict_json import json_text
 
 
 def run_comparison(config: ComparisonConfig, out: Path, *, workers: int | None = None, progress: Progress | None = None) -> str:
@@ -20,12 +20,11 @@ def run_comparison(config: ComparisonConfig, out: Path, *, workers: int | None =
     """
     from skygain.evaluation.pictures import rmse_curves
 
-    writable_folder(out)
     comparison = compare(config, out, workers=workers, progress=progress)
     table = comparison_markdown(comparison)
     results = comparison_json(comparison) | {"table": table}
     with atomic_write(out / "results.json") as path:
-        path.write_text(json.dumps(results, indent=1) + "\n")
+        path.write_text(json_text(results))
     with atomic_write(out / "table.md") as path:
         path.write_text(table)
     rmse_curves(curve_intervals(comparison), out / "rmse_vs_steps.png")

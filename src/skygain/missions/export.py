@@ -7,7 +7,6 @@ package is missing says so in the note it returns, so that a survey never ends w
 from __future__ import annotations
 
 __all__ = [
-    "json_text",
     "write_measurements_csv",
     "write_radio_map_nc",
     "write_radio_map_tif",
@@ -15,12 +14,8 @@ __all__ = [
 ]
 
 import csv
-import json
-import math
-from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +23,7 @@ import skygain
 from skygain.errors import MissingExtraError, require
 from skygain.evaluation.outcome import Outcome
 from skygain.files import atomic_write
+from skygain.strict_json import json_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -91,7 +87,7 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
         "width": outcome.grid.shape[1],
         "count": len(bands),
         "dtype": "float32",
-        "nodata": math.nan,
+        "nodata": np.nan,
         "crs": outcome.grid.crs,
         "transform": rasterio.Affine(spacing, 0.0, west, 0.0, -spacing, north),
         "compress": "deflate",
@@ -215,52 +211,6 @@ def write_results_json(outcome: Outcome, path: Path) -> None:
     text = json_text(content)
     with atomic_write(path) as tmp:
         tmp.write_text(text, encoding="utf-8", errors="replace")
-
-
-def json_text(content: Any) -> str:
-    """Strict JSON that a person can read: keys sorted, two spaces a level, a list of plain values on one line, NaN as ``null``.
-
-    Arrays, tuples, dataclasses, paths and NumPy numbers become what they stand for.
-
-    Raises:
-        TypeError: ``content`` holds something JSON cannot say.
-
-    >>> print(json_text({"rmse_db": np.float32(0.5), "nll": [1.0, float("nan")]}), end="")
-    {
-      "nll": [1.0, null],
-      "rmse_db": 0.5
-    }
-    """
-    return _pretty(plain(content), "") + "\n"
-
-
-def plain(value: Any) -> Any:
-    """``value`` in nothing but dictionaries with string keys, lists, strings, finite numbers, booleans and ``None``."""
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in (sorted(value) if isinstance(value, set | frozenset) else value)]
-    raise TypeError(f"JSON has no way to say {value!r} of type {type(value).__name__}; give plain values")
-
-
-def _pretty(value: Any, indent: str) -> str:
-    inner = indent + "  "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{json.dumps(key, ensure_ascii=False)}: {_pretty(value[key], inner)}" for key in sorted(value)]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
-        return "[\n" + ",\n".join(inner + _pretty(item, inner) for item in value) + f"\n{indent}]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def _facts(outcome: Outcome) -> dict[str, str | float]:
