@@ -7,10 +7,10 @@ buildings that touch keep their own edges.
 
 from __future__ import annotations
 
-__all__ = ["Mesh", "buildings_of_raster", "city_mesh", "ground_mesh", "prism_mesh"]
+__all__ = ["Mesh", "buildings_of_raster", "city_buildings", "clear_of_plane", "ground_mesh", "prism_mesh"]
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -49,12 +49,23 @@ class Mesh:
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def city_mesh(city: City) -> Mesh:
-    """The walls and roofs of a city, in the city's metres.
+def city_buildings(city: City) -> tuple[Building, ...]:
+    """The city's polygons, or boxes made from its height raster when it has none (see `buildings_of_raster`)."""
+    return city.buildings or buildings_of_raster(city)
 
-    A city without polygons is built from its height raster (see `buildings_of_raster`).
+
+def clear_of_plane(buildings: Iterable[Building], altitude_m: float, clearance_m: float) -> tuple[Building, ...]:
+    """The buildings with each horizontal edge nearer than ``clearance_m`` to the plane at ``altitude_m`` moved away to that distance.
+
+    A roof that reaches the plane is raised and one below it is lowered, so that no cell changes between indoors and outdoors.
     """
-    return Mesh.joined(prism_mesh(b) for b in city.buildings or buildings_of_raster(city))
+
+    def moved(z: float) -> float:
+        if abs(z - altitude_m) >= clearance_m or z <= 0:
+            return z
+        return altitude_m + clearance_m if z >= altitude_m else max(altitude_m - clearance_m, 0.0)
+
+    return tuple(replace(b, height_m=moved(b.height_m), base_m=moved(b.base_m)) for b in buildings)
 
 
 def ground_mesh(city: City, margin_m: float) -> Mesh:

@@ -44,6 +44,7 @@ __all__ = [
 
 import importlib
 import importlib.metadata
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -59,7 +60,7 @@ from skygain.errors import InputError, require
 from skygain.propagation import llvm
 from skygain.propagation.base import check_altitudes, check_frequency, check_transmitters
 from skygain.propagation.diffraction import free_space_gain_db
-from skygain.propagation.mesh import Mesh, city_mesh, ground_mesh
+from skygain.propagation.mesh import Mesh, city_buildings, clear_of_plane, ground_mesh, prism_mesh
 
 DEFAULT_SAMPLES = 3_000_000
 """rays per transmitter; docs/propagation.md has the measurements behind it"""
@@ -69,6 +70,9 @@ GUARD_DB = 6.0
 
 FIRST_GOOD_RELEASE = (2, 1, 0)
 """first release of Sionna RT with the corrected diffraction coefficients"""
+
+LARGEST_CLEARANCE_M = 1.5
+"""roofs are never moved further than this from the plane of the cells"""
 
 GROUND_MARGIN_M = 500.0
 """how far the ground reaches beyond the map and the transmitters"""
@@ -157,12 +161,12 @@ def trace_gain_db(
     west, south, east, north = city.grid.bounds_m
     origin = np.array([(west + east) / 2, (south + north) / 2, 0.0])
     with _threads(threads):
-        scene = _scene(rt, city, transmitters, origin, settings)
         power = np.empty((len(transmitters), len(altitudes), *city.grid.shape), dtype=np.float32)
-        for first in range(0, len(transmitters), transmitters_per_call):
-            part = slice(first, first + transmitters_per_call)
-            _place(rt, scene, transmitters[part] - origin)
-            for j, altitude in enumerate(altitudes):
+        for j, altitude in enumerate(altitudes):
+            scene = _scene(rt, city, float(altitude), transmitters, origin, settings)
+            for first in range(0, len(transmitters), transmitters_per_call):
+                part = slice(first, first + transmitters_per_call)
+                _place(rt, scene, transmitters[part] - origin)
                 power[part, j] = _solve(rt, scene, city, float(altitude), settings, _call_seed(seed, first, j))
     gain, guarded = _guarded(power, city, transmitters, altitudes, settings.frequency_hz)
     return RayTraced(gain, power > 0, guarded, settings, importlib.metadata.version("sionna-rt"), _variant())
@@ -241,15 +245,34 @@ def _threads(count: int) -> Iterator[None]:
         drjit.set_thread_count(before)
 
 
-def _scene(rt: Any, city: City, transmitters: NDArray[np.float64], origin: NDArray[np.float64], settings: RayTracing) -> Any:
+def _scene(
+    rt: ModuleType,
+    city: City,
+    altitude_m: float,
+    transmitters: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    settings: RayTracing,
+) -> Any:
     scene = rt.load_scene()
     scene.frequency = settings.frequency_hz
     scene.tx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
     beyond = np.abs(transmitters[:, :2] - origin[:2]).max()
-    parts = [("ground", ground_mesh(city, GROUND_MARGIN_M + beyond), 1.0), ("buildings", city_mesh(city), 0.3)]
-    objects = [scene_object(rt, mesh, name, origin, thickness) for name, mesh, thickness in parts if len(mesh.faces)]
-    scene.add(objects)
+    buildings = clear_of_plane(city_buildings(city), altitude_m, _clearance_m(city))
+    walls = Mesh.joined(prism_mesh(b) for b in buildings)
+    parts = [("ground", ground_mesh(city, GROUND_MARGIN_M + beyond), 1.0), ("buildings", walls, 0.3)]
+    scene.add([scene_object(rt, mesh, name, origin, thickness) for name, mesh, thickness in parts if len(mesh.faces)])
     return scene
+
+
+def _clearance_m(city: City) -> float:
+    """How far roofs must stay away from the plane of the cells.
+
+    The solver starts a diffracted ray beside its edge, displaced by 6e-6 (1 + largest coordinate), and aims it at a point one metre
+    away, but weights it for the undisplaced direction. Over the width of the map the error of direction grows to this height.
+    """
+    west, south, east, north = city.grid.bounds_m
+    half = max(east - west, north - south) / 2
+    return min(6e-6 * math.sqrt(0.5) * (1 + half) * math.hypot(east - west, north - south), LARGEST_CLEARANCE_M)
 
 
 def scene_object(rt: ModuleType, mesh: Mesh, name: str, origin_m: NDArray[np.float64], thickness_m: float) -> Any:
