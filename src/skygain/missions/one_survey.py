@@ -181,7 +181,6 @@ def _replayed(request: SurveyRequest) -> _Setting:
         gridded,
         city,
         uav_altitude_m=request.altitude_m,
-        reach_m=grid.spacing_m,  # from further away the UAVs would fly past the recorded cells more often than over them
         transmitter_m=transmitter,
         frequency_hz=request.frequency_hz,
     )
