@@ -16,7 +16,7 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +209,27 @@ def averages_compared(recording: Recording, gridded: GriddedRecording, scenario:
     return "kriging-blind on A/Samsung with cells averaged as: " + "; ".join(parts) + "."
 
 
+def series_facts(series: dict[str, tuple[GriddedRecording, Scenario]]) -> str:
+    """A table: what distance to the base station explains of each series, by least squares, and how noisy its cells are."""
+    lines = [
+        "Each series as recorded: RSRP = a − b·log₁₀(distance in m) by least squares over its cells, and the root mean square of the "
+        "standard deviation given to its cells' values, which is a part of every error above.",
+        "",
+        "| series | a, dBm | b, dB per decade | standard deviation, dB | left by the line, dB | noise of the cells, dB |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, (gridded, scenario) in series.items():
+        assert scenario.transmitter_m is not None
+        offset = (
+            np.column_stack([gridded.grid.xy_m(gridded.cell), np.full(len(gridded), PHONE_HEIGHT_M)]) - scenario.transmitter_m
+        )
+        columns = np.column_stack([np.ones(len(gridded)), -np.log10(np.linalg.norm(offset, axis=1))])
+        line = np.linalg.lstsq(columns, gridded.level_db, rcond=None)[0]
+        left, noise = np.std(gridded.level_db - columns @ line), np.sqrt(np.mean(gridded.noise_std_db**2))
+        lines.append(f"| {name} | {line[0]:.0f} | {line[1]:.1f} | {gridded.level_db.std():.1f} | {left:.1f} | {noise:.1f} |")
+    return "\n".join(lines)
+
+
 def _values(found: list[Trial], value: str, **match: Any) -> np.ndarray:
     rows = [t for t in found if all(getattr(t, k) == v for k, v in match.items())]
     return np.array([getattr(t, value) for t in sorted(rows, key=lambda t: (t.series, t.seed))])
@@ -280,11 +301,16 @@ def main() -> None:
         )
     table = markdown(found, methods, list(series), options.seeds)
     first = read_recording(options.data, where={"PCI": "A", "device": "Samsung"})
-    table += "\n" + averages_compared(first, *series["A/Samsung"], options.seeds) + "\n"
+    table += "\n" + series_facts(series) + "\n\n" + averages_compared(first, *series["A/Samsung"], options.seeds) + "\n"
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "duke_cbrs.md").write_text(table, encoding="utf-8")
-    rows = [{k: round(v, 4) if isinstance(v, float) and math.isfinite(v) else v for k, v in vars(t).items()} for t in found]
-    text = json.dumps({"box": NORTH_WEST, "spacing_m": SPACING_M, "seeds": options.seeds, "trials": rows}, indent=0)
+    names = [f.name for f in fields(Trial)]
+    rows = [
+        [round(v, 4) if isinstance(v, float) and math.isfinite(v) else v for v in (getattr(t, name) for name in names)]
+        for t in found
+    ]
+    header = json.dumps({"box": NORTH_WEST, "spacing_m": SPACING_M, "seeds": options.seeds, "columns": names})[:-1]
+    text = header + ', "trials": [\n' + ",\n".join(map(json.dumps, rows)) + "\n]}"  # one trial a line
     (options.out / "duke_cbrs.json").write_text(text + "\n", encoding="utf-8")
     print("\n" + table)
 

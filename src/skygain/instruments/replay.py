@@ -83,7 +83,7 @@ def replay_scenario(
     *,
     uav_altitude_m: float = 10.0,
     prediction_altitude_m: float | None = None,
-    reach_m: float | None = 8.0,
+    reach_m: float | None = 20.0,
     transmitter_m: tuple[float, float, float] | None = None,
     frequency_hz: float = 5.0e9,
 ) -> Scenario:
@@ -98,7 +98,8 @@ def replay_scenario(
         city: buildings on the same grid; open ground when left out, in which case altitudes have no effect.
         uav_altitude_m: altitude of flight; use the altitude of the recording, or buildings it passed under become obstacles.
         prediction_altitude_m: altitude of the map; that of flight when left out.
-        reach_m: how far from a recorded cell UAVs may fly; ``None`` opens the whole map.
+        reach_m: how far from a recorded cell UAVs may fly; ``None`` opens the whole map. The default had the smallest error on a
+            campus (docs/instruments.md).
         transmitter_m: (x, y, z) if known.
         frequency_hz: carrier frequency.
 
@@ -111,7 +112,7 @@ def replay_scenario(
     elif city.grid != grid:
         raise InputError("the recording was brought onto another grid than the city's; use recording.on(city.grid)")
     if reach_m is not None and not 0 <= reach_m < np.inf:
-        raise InputError(f"reach_m must be 0 m or more, got {reach_m}; leave it out for 8 m, or give None for the whole map")
+        raise InputError(f"reach_m must be 0 m or more, got {reach_m}; leave it out for 20 m, or give None for the whole map")
     free = ~city.obstructed(uav_altitude_m)
     if not (free & gridded.recorded).any():
         raise InputError(
