@@ -15,6 +15,7 @@ PLANNERS.register("lawnmower", "skygain.planners.lawnmower:LawnmowerPlanner")
 PLANNERS.register("spiral", "skygain.planners.lawnmower:SpiralPlanner")
 PLANNERS.register("entropy-vi", "skygain.planners.entropy_value_iteration:EntropyPlanner")
 PLANNERS.register("entropy-vi-conditioned", "skygain.planners.entropy_value_iteration:conditioned_entropy_planner")
+PLANNERS.register("independent-greedy", "skygain.planners.sequential_greedy:independent_greedy_planner")
 PLANNERS.register("sequential-greedy", "skygain.planners.sequential_greedy:SequentialGreedyPlanner")
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
 

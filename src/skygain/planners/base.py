@@ -24,6 +24,8 @@ class Certificate:
     """the objective of this plan"""
     upper_bound_nats: float
     """no legal plan exceeds this"""
+    random_nats: float | None = None
+    """the mean objective of random-waypoint plans from the same state, where it was computed"""
 
     @property
     def gap_nats(self) -> float:
@@ -34,6 +36,14 @@ class Certificate:
     def ratio(self) -> float:
         """At least this share of the best value is reached."""
         return self.value_nats / self.upper_bound_nats if self.upper_bound_nats > 0 else 1.0
+
+    @property
+    def share(self) -> float | None:
+        """At least this share of the way from random plans to the best one is gone; ``None`` without random plans."""
+        if self.random_nats is None:
+            return None
+        way = self.upper_bound_nats - self.random_nats
+        return (self.value_nats - self.random_nats) / way if way > 0 else 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,8 @@ Planning needs covariances between many cells given the data so far, a few thous
 kinds of belief answer, and `planning_field` picks the best that is there:
 
 1. a belief with a stationary prior (`HasStationaryPrior`, like Kriging): the covariance is computed here from the prior kernel and
-   the readings, at most ``MAX_READINGS`` of them, the nearest. A nearer reading screens the farther ones off, so leaving those out
-   changes little, it never understates a variance, and the cost of a decision does not grow with the survey;
+   the readings nearest to where it is asked for. A nearer reading screens the farther ones off, so leaving those out changes
+   little, it never understates a variance, and the cost of a decision does not grow with the survey;
 2. a belief whose posterior is joint: its own ``covariance``;
 3. any other belief, for example a deep one that knows only variances: the fallback
    k(x, x') = σ(x)·σ(x')·exp(−‖x − x'‖/δ_f) with the belief's own standard deviations and δ_f = ``FALLBACK_RANGE_M``.
@@ -14,14 +14,15 @@ kinds of belief answer, and `planning_field` picks the best that is there:
 
 from __future__ import annotations
 
-__all__ = ["FALLBACK_RANGE_M", "MAX_READINGS", "HasStationaryPrior", "PlanningField", "planning_field"]
+__all__ = ["FALLBACK_RANGE_M", "Conditioned", "HasStationaryPrior", "PlanningField", "planning_field"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numba import njit
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from skygain.grid import Grid
@@ -31,57 +32,64 @@ from skygain.predictors.base import Belief
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
-MAX_READINGS = 600
-"""readings conditioned on at once; the rest are screened off"""
 FALLBACK_RANGE_M = 25.0
 """δ_f, decorrelation distance of what a deep belief still does not know"""
-_JITTER = 1e-6
-"""share of the prior variance added to the diagonal, which keeps exact readings of near cells invertible"""
+JITTER = 1e-6
+"""share of the prior variance added to the variance of a reading, which keeps exact readings of near cells invertible"""
 
 
 @runtime_checkable
 class HasStationaryPrior(Protocol):
     """A belief that began with the same covariance function everywhere."""
 
-    def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
+    def prior_covariance_db2(self, distance_m: Any) -> Any:
         """Prior covariance in dB² of the gains at two cells ``distance_m`` apart, in the shape of ``distance_m``."""
+
+
+@njit(cache=True)
+def _looked_up(table, cells, others):
+    """``[n, m]`` entries of ``table[|row offset|, |col offset|]``."""
+    out = np.empty((len(cells), len(others)), dtype=table.dtype)
+    for i in range(len(cells)):
+        for j in range(len(others)):
+            out[i, j] = table[abs(cells[i, 0] - others[j, 0]), abs(cells[i, 1] - others[j, 1])]
+    return out
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningField:
-    """Covariances between cells given the data so far, and given cells that are planned to be measured."""
+    """Covariances between cells given the data so far."""
 
     grid: Grid
     """where the cells are"""
     posterior: Posterior
     """what the belief says now"""
-    prior_covariance_db2: Callable[[ArrayLike], Array] | None
-    """prior covariance by distance in metres, ``None`` without a stationary prior"""
-    table: Array | None
-    """``[|row offset|, |col offset|]`` the same by offset in cells"""
+    kernel: Callable[[Any], Any] | None
+    """prior covariance by distance in metres; ``None`` without a stationary prior"""
+    table: Array
+    """``[|row offset|, |col offset|]`` the same by offset in cells; of size 0 without a stationary prior"""
     cells: Cells
-    """``[n, (row, col)]`` distinct measured cells"""
+    """``[n, (row, col)]`` distinct measured cells to condition on; none without a stationary prior"""
     noise_db2: Array
     """``[n]`` noise variance of the readings there, combined"""
 
     @property
-    def is_stationary(self) -> bool:
-        """Whether covariances come from a stationary prior and the readings."""
-        return self.table is not None
+    def level_db2(self) -> float:
+        """Variance before any reading, or the largest there is without a stationary prior."""
+        return float(self.table[0, 0]) if self.kernel else float(np.max(self.posterior.variance_db2, initial=1e-9))
 
-    def prior(self, cells: Cells, others: Cells) -> Array:
-        """``[n, m]`` covariance in dB² before any reading (case 1), or of the posterior itself (cases 2 and 3)."""
-        if self.table is not None:
-            rows = np.abs(cells[:, None, 0] - others[None, :, 0])
-            cols = np.abs(cells[:, None, 1] - others[None, :, 1])
-            return self.table[rows, cols]
+    def prior(self, cells: Cells, others: Cells, dtype: type = np.float64) -> NDArray[Any]:
+        """``[n, m]`` covariance in dB² before the readings `cells` (case 1), or of the posterior itself (cases 2 and 3)."""
+        if self.kernel:
+            return _looked_up(self.table.astype(dtype), np.ascontiguousarray(cells), np.ascontiguousarray(others))
         if isinstance(self.posterior, JointPosterior):
-            return self.posterior.covariance(cells, others)
+            return self.posterior.covariance(cells, others).astype(dtype)
         gap = np.hypot(*(cells[:, None] - others[None]).transpose(2, 0, 1)) * self.grid.spacing_m
         std = self.posterior.std_db
-        return std[cells[:, 0], cells[:, 1]][:, None] * std[others[:, 0], others[:, 1]] * np.exp(-gap / FALLBACK_RANGE_M)
+        product = std[cells[:, 0], cells[:, 1]][:, None] * std[others[:, 0], others[:, 1]]
+        return (product * np.exp(-gap / FALLBACK_RANGE_M)).astype(dtype)
 
-    def near(self, centres: Cells, most: int = MAX_READINGS) -> PlanningField:
+    def near(self, centres: Cells, most: int) -> PlanningField:
         """The same field, conditioned on only the ``most`` readings nearest to any of ``centres[k, (row, col)]``."""
         if len(self.cells) <= most:
             return self
@@ -89,45 +97,46 @@ class PlanningField:
         keep = np.sort(np.argsort(gap, kind="stable")[:most])
         return replace(self, cells=self.cells[keep], noise_db2=self.noise_db2[keep])
 
-    def whitener(self, planned: Cells, planned_noise_db2: float) -> tuple[Cells, Array]:
-        """Cells to condition on (the readings', then ``planned``) and the Cholesky factor ``[n, n]`` of their covariance."""
-        known = np.concatenate([self.cells, planned]) if self.is_stationary else planned
-        noise = np.full(len(known), planned_noise_db2)
-        if self.is_stationary:
-            noise[: len(self.cells)] = self.noise_db2
-        gram = self.prior(known, known)
-        level = float(np.max(np.diag(gram))) if len(known) else 1.0
-        gram[np.diag_indices_from(gram)] += noise + _JITTER * level
-        return known, np.linalg.cholesky(gram)
+    def conditioned(self, dtype: type = np.float64) -> Conditioned:
+        """The field given its readings, ready to answer in precision ``dtype``."""
+        gram = self.prior(self.cells, self.cells)
+        gram[np.diag_indices_from(gram)] += self.noise_db2 + JITTER * self.level_db2
+        return Conditioned(self, np.linalg.cholesky(gram).astype(dtype))
 
-    def whitened(self, known: Cells, factor: Array, cells: Cells) -> NDArray[np.float32]:
-        """``[n, m]`` L⁻¹·K(known, cells), in single precision."""
-        cross = self.prior(known, cells).astype(np.float32)
-        return solve_triangular(factor.astype(np.float32), cross, lower=True, check_finite=False, overwrite_b=True)
 
-    def covariance(self, cells: Cells, others: Cells | None = None) -> Array:
-        """``[n, m]`` covariance in dB² given the readings, in double precision."""
-        known, factor = self.whitener(np.empty((0, 2), dtype=np.int64), 0.0)
-        left = solve_triangular(factor, self.prior(known, cells), lower=True, check_finite=False)
-        if others is None:
-            return self.prior(cells, cells) - left.T @ left
-        right = solve_triangular(factor, self.prior(known, others), lower=True, check_finite=False)
-        return self.prior(cells, others) - left.T @ right
+@dataclass(frozen=True, eq=False)
+class Conditioned:
+    """A planning field with the Cholesky factor of its readings."""
+
+    field: PlanningField
+    """the field"""
+    factor: NDArray[Any]
+    """``[n, n]`` lower Cholesky factor of the readings' covariance; its precision is that of all answers"""
+
+    def whitened(self, cells: Cells) -> NDArray[Any]:
+        """``[n, m]`` covariance of the whitened readings with ``cells[m, (row, col)]``."""
+        cross = self.field.prior(self.field.cells, cells, self.factor.dtype.type)
+        return solve_triangular(self.factor, cross, lower=True, check_finite=False, overwrite_b=True)
+
+    def covariance(
+        self, cells: Cells, others: Cells, white: NDArray[Any] | None = None, white_others: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """``[n, m]`` covariance in dB² given the readings; pass what `whitened` gave for the cells to save computing it again."""
+        white = self.whitened(cells) if white is None else white
+        white_others = self.whitened(others) if white_others is None else white_others
+        return self.field.prior(cells, others, self.factor.dtype.type) - white.T @ white_others
 
 
 def planning_field(belief: Belief) -> PlanningField:
     """The covariances of ``belief`` for planning, from the best source it has."""
     grid, posterior = belief.scenario.grid, belief.posterior()
-    kernel = table = None
-    cells, noise = np.empty((0, 2), dtype=np.int64), np.empty(0)
-    if isinstance(belief, HasStationaryPrior):
-        rows, cols = np.ogrid[: grid.shape[0], : grid.shape[1]]
-        kernel = belief.prior_covariance_db2
-        table = np.asarray(kernel(np.hypot(rows, cols) * grid.spacing_m), dtype=float)
-        readings = belief.measurements
-        flat, where = np.unique(grid.flat(readings.cell), return_inverse=True)
-        cells = np.stack(np.divmod(flat, grid.shape[1]), axis=1)
-        # several noisy readings of one cell are worth one of the harmonic variance; an exact one settles the cell
-        precision = np.bincount(where, 1.0 / np.maximum(readings.noise_std_db**2, 1e-12), minlength=len(flat))
-        noise = np.where(precision > 1e11, 0.0, 1.0 / np.maximum(precision, 1e-300))
-    return PlanningField(grid, posterior, kernel, table, cells, noise)
+    if not isinstance(belief, HasStationaryPrior):
+        return PlanningField(grid, posterior, None, np.empty((0, 0)), np.empty((0, 2), dtype=np.int64), np.empty(0))
+    rows, cols = np.ogrid[: grid.shape[0], : grid.shape[1]]
+    table = np.asarray(belief.prior_covariance_db2(np.hypot(rows, cols) * grid.spacing_m), dtype=float)
+    readings = belief.measurements
+    flat, where = np.unique(grid.flat(readings.cell), return_inverse=True)
+    # several noisy readings of one cell are worth one of the harmonic variance; an exact one settles the cell
+    precision = np.bincount(where, 1.0 / np.maximum(readings.noise_std_db**2, 1e-12), minlength=len(flat))
+    cells = np.stack(np.divmod(flat, grid.shape[1]), axis=1)
+    return PlanningField(grid, posterior, belief.prior_covariance_db2, table, cells, 1.0 / precision)

@@ -42,7 +42,9 @@ from skygain.swarm import Swarm
 
 TIE_NATS = 1e-5
 """joint moves whose values differ by less are equal; single precision resolves no more"""
-KNOWN_SHARE = 1e-6
+MOST_READINGS = 600
+"""readings conditioned on, the nearest"""
+KNOWN_SHARE = 1e-5
 """share of the prior variance below which a cell is known"""
 
 
@@ -134,10 +136,9 @@ def _stationary_kernel(field: PlanningField, start: Cells, steps: int) -> NDArra
     reach = 2 * steps + 3 + int(np.abs(start[:, None] - start[None]).max(initial=0))
     rows, cols = np.ogrid[:reach, :reach]
     distance_m = np.hypot(rows, cols) * field.grid.spacing_m
-    if field.prior_covariance_db2 is not None:
-        return np.asarray(field.prior_covariance_db2(distance_m), dtype=float)
-    sill = float(np.max(field.posterior.variance_db2, initial=1e-6))
-    return sill * np.exp(-distance_m / FALLBACK_RANGE_M)
+    if field.kernel:
+        return np.asarray(field.kernel(distance_m), dtype=float)
+    return field.level_db2 * np.exp(-distance_m / FALLBACK_RANGE_M)
 
 
 def _posterior_of_reach(
@@ -152,7 +153,9 @@ def _posterior_of_reach(
     cells = np.argwhere(mask)
     places = np.full(field.grid.shape, -1, dtype=np.int64)
     places[mask] = np.arange(len(cells))
-    return places, field.near(start).covariance(cells)
+    source = field.near(start, MOST_READINGS).conditioned()
+    white = source.whitened(cells)
+    return places, source.covariance(cells, cells, white, white)
 
 
 def _read_off(start, steps, allowed, values, begin, rewards, rng):  # type: ignore[no-untyped-def]

@@ -146,6 +146,25 @@ def _chain_of(node, measured_parent, chain):
 
 
 @njit(cache=True)
+def _gains_alone(reach: Reach):
+    """``[m]`` gain of each measurable cell on its own.
+
+    Entropy gains only shrink along a path. Variance gains nearly always do; the search may lose a path where they grow.
+    """
+    out = np.full(len(reach.among), np.inf)
+    if reach.objective == MUTUAL_INFORMATION:
+        return out
+    for cell in range(len(out)):
+        variance = reach.among[cell, cell]
+        if reach.objective == ENTROPY:
+            out[cell] = 0.5 * np.log(1.0 + max(variance, 0.0) / reach.noise_db2)
+        else:
+            image = reach.targets[cell]
+            out[cell] = np.dot(image, image) / max(variance + reach.noise_db2, reach.floor_db2)
+    return out
+
+
+@njit(cache=True)
 def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic, air: Airspace):
     """``[k + 1, (row, col)]`` best path found from ``start``, k <= horizon (shorter if it got stuck), and its value.
 
@@ -175,6 +194,7 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
     c_map = np.empty((room + 1, n_targets), dtype=np.float32)
     place = np.arange(room + 1)  # candidate -> line of the three buffers above; the last line is scratch
     chain = np.empty(horizon, dtype=np.int64)
+    alone = _gains_alone(reach)
     at[0] = start[0] * cols + start[1]
     first, end = 0, 1
     for step in range(1, horizon + 1):
@@ -189,13 +209,15 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
                 if not _is_clear(uav, step, row, col, to_row, to_col, traffic, air):
                     continue
                 there, cell, gain = to_row * cols + to_col, reach.index[to_row, to_col], -1.0
+                mine = slot[there]
+                if mine >= 0 and value[node] + (alone[cell] if cell >= 0 else 0.0) <= c_value[mine]:
+                    continue  # it cannot win
                 if cell >= 0:
                     line = place[room]
                     gain = _gain(
                         cell, chain, depth, row_of, factor, factor_given, maps, reach, c_row[line], c_given[line], c_map[line]
                     )
                 total = value[node] + max(gain, 0.0)
-                mine = slot[there]
                 if mine < 0:
                     mine = count
                     slot[there] = mine

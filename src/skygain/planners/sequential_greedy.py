@@ -1,14 +1,20 @@
 """Sequential greedy planning: UAVs choose their paths one after another, each knowing what the others will measure.
 
 The first UAV takes the path that gains most, the second the path that gains most given the first one's readings, and so on; then
-every UAV in turn plans again given all the others, until no one gains. The cost grows linearly with the number of UAVs. Three
-objectives can be chosen: the fall of the posterior variance summed over outdoor unvisited cells (the expected squared error
-itself), the entropy of the readings, and their mutual information with the unvisited cells.
+every UAV in turn plans again given all the others, until no one gains. The cost grows linearly with the number of UAVs. The
+objective is one of
+
+- ``variance``: Σ_x w(x)·(σ²(x) − σ²(x | S)) over outdoor unvisited cells x, the fall of the expected squared error, where
+  w(x) = `skygain.planners.volatility.volatility` for a belief with a stationary prior and 1 otherwise;
+- ``entropy``: F(S) = ½ log det(I + K_SS/σ²), which differs from the entropy of the readings by a constant per reading;
+- ``mutual-information``: the information of the readings about the unvisited cells.
+
+With ``entropy`` a plan carries a certificate (`skygain.planners.certificate`).
 """
 
 from __future__ import annotations
 
-__all__ = ["SequentialGreedyPlanner"]
+__all__ = ["OBJECTIVES", "SequentialGreedyPlanner", "independent_greedy_planner"]
 
 from dataclasses import dataclass
 
@@ -17,140 +23,143 @@ from numpy.typing import NDArray
 
 from skygain.errors import InputError
 from skygain.planners.base import Plan, Planner
+from skygain.planners.certificate import certified
 from skygain.planners.covariance import PlanningField, planning_field
-from skygain.planners.flight import Airspace, Cells, bfs, followed
+from skygain.planners.flight import Airspace, Cells, followed
 from skygain.planners.path_search import (
     ENTROPY,
     MUTUAL_INFORMATION,
     VARIANCE,
-    Reach,
     Traffic,
     beam_path,
     exact_path,
     path_value,
 )
+from skygain.planners.reach import LocalReach
 from skygain.planners.volatility import volatility
 from skygain.predictors.base import Belief
 from skygain.swarm import Swarm
 
 OBJECTIVES = {"variance": VARIANCE, "entropy": ENTROPY, "mutual-information": MUTUAL_INFORMATION}
+"""names of the objectives"""
+GAIN_SHARE = 1e-4
+"""a new path replaces the old one in a sweep if it gains more than this share"""
 
 
 @dataclass(frozen=True)
 class SequentialGreedyPlanner(Planner):
+    """Coordinated planning for any number of UAVs."""
+
     objective: str = "variance"
-    horizon: int = 20
-    commit_steps: int = 10
+    """``"variance"``, ``"entropy"`` or ``"mutual-information"``"""
+    horizon: int = 40
+    """steps planned"""
+    commit_steps: int = 15
+    """steps flown before planning again"""
     sweeps: int = 1
+    """most rounds in which every UAV plans again given the others"""
     width: int = 200
+    """paths kept per depth of the beam search"""
     exact_horizon: int = 6
-    max_targets: int = 500
-    target_range_m: float = 60.0
-    noise_db2: float = 1.0
-    stride: int = 1
+    """horizons up to this are searched exhaustively, UAV by UAV"""
+    stride: int | None = None
+    """1 scores every cell of a path, 2 every second one; ``None`` takes 1 up to a horizon of 24 and 2 beyond"""
+    coordinated: bool = True
+    """``False`` plans every UAV as if it were alone"""
     weighted: bool = True
-    max_readings: int = 400
+    """weight the cells by the volatility that the predicted gain suggests, where the belief itself knows no difference"""
+    noise_db2: float = 1.0
+    """σ², noise variance of the readings in the objectives"""
+    most_readings: int = 400
+    """readings conditioned on per UAV, the nearest"""
+    most_targets: int = 500
+    """cells per UAV that stand for the map in the objectives"""
+    target_range_m: float = 60.0
+    """how far beyond its reach a UAV looks for cells to learn about"""
+
+    def __post_init__(self) -> None:
+        if self.objective not in OBJECTIVES:
+            raise InputError(f"unknown objective {self.objective!r}; known: {', '.join(OBJECTIVES)}")
+        if min(self.horizon, self.commit_steps, self.width) < 1 or self.sweeps < 0:
+            raise InputError(
+                "sequential greedy needs horizon, commit_steps and width >= 1 and sweeps >= 0, got "
+                f"{self.horizon}, {self.commit_steps}, {self.width} and {self.sweeps}"
+            )
+        if self.stride not in (None, 1, 2):
+            raise InputError(f"stride must be 1, 2 or None, got {self.stride}")
+        if not self.noise_db2 > 0:
+            raise InputError(f"noise_db2 must be above 0, got {self.noise_db2}; give the variance of a reading's noise in dB²")
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         steps = min(self.horizon, horizon)
         field = planning_field(belief)
-        air = Airspace.of(swarm)
+        paths = followed(swarm, self._routes(swarm, field, self._weight(swarm, belief, field), steps, rng), steps)
+        certificate = None
+        if self.objective == "entropy":
+            certificate = certified(swarm, field, paths, self.noise_db2, self.most_readings, rng)
+        return Plan(paths, min(self.commit_steps, steps), certificate)
+
+    def _weight(self, swarm: Swarm, belief: Belief, field: PlanningField) -> NDArray[np.float64]:
+        """``[row, col]`` how much a cell's variance counts."""
         weight = (belief.scenario.outdoor & ~swarm.visited).astype(float)
-        if self.weighted and field.is_stationary:
+        if self.weighted and self.objective == "variance" and field.kernel:
             weight *= volatility(field.posterior.mean_db)
+        return weight
+
+    def _routes(
+        self, swarm: Swarm, field: PlanningField, weight: NDArray[np.float64], steps: int, rng: np.random.Generator
+    ) -> list[Cells]:
+        """One route per UAV from its current cell, legal among each other up to hovering."""
+        stride = self.stride or (1 if steps <= 24 else 2)
+        air, flying = Airspace.of(swarm), np.flatnonzero(swarm.flying)
+        ahead = np.minimum(steps, swarm.steps_left)
+        reach = {
+            u: LocalReach.around(
+                field,
+                swarm,
+                int(u),
+                int(ahead[u]),
+                weight=weight,
+                objective=OBJECTIVES[self.objective],
+                noise_db2=self.noise_db2,
+                stride=stride,
+                most_readings=self.most_readings,
+                most_targets=self.most_targets,
+                target_range_m=self.target_range_m,
+            )
+            for u in flying
+        }
         paths = np.repeat(swarm.cells[:, None], steps + 1, axis=1)
-        known = np.where(swarm.flying, 0, steps)
-        values = np.zeros(swarm.n_uavs)
-        turns = [np.flatnonzero(swarm.flying)] * (1 + self.sweeps)
-        for sweep, uavs in enumerate(turns):
+        settled = np.zeros(swarm.n_uavs, dtype=np.int64)
+        span = 2 * self.target_range_m / swarm.spacing_m + steps
+        for sweep in range(1 + (self.sweeps if self.coordinated and len(flying) > 1 else 0)):
             gained = False
-            for u in rng.permutation(uavs):
-                others = [v for v in uavs if v != u and known[v] > 0]
-                ahead = int(min(steps, swarm.steps_left[u]))
-                reach = self._reach(field, swarm, weight, paths, known, others, u, ahead)
-                traffic = Traffic(paths, known, swarm.steps_left)
-                order = rng.permutation(4)
-                if ahead <= self.exact_horizon:
-                    path, value = exact_path(u, swarm.cells[u], ahead, order, reach, traffic, air)
+            for u in rng.permutation(flying):
+                planned = _planned_cells(paths, settled, int(u), stride, span) if self.coordinated else np.empty((0, 2), np.int64)
+                here = reach[u].given(planned)
+                traffic, order = Traffic(paths, settled, swarm.steps_left), rng.permutation(4)
+                if ahead[u] <= self.exact_horizon:
+                    path, value = exact_path(u, swarm.cells[u], ahead[u], order, here, traffic, air)
                 else:
-                    path, value = beam_path(u, swarm.cells[u], ahead, self.width, order, reach, traffic, air)
-                if sweep > 0:
-                    if value <= path_value(paths[u, : known[u] + 1], reach) * (1 + 1e-4):
-                        continue
+                    path, value = beam_path(u, swarm.cells[u], ahead[u], self.width, order, here, traffic, air)
+                if sweep and value <= path_value(paths[u, : settled[u] + 1], here) * (1 + GAIN_SHARE):
+                    continue
                 gained = True
+                settled[u] = len(path) - 1
                 paths[u, : len(path)] = path
                 paths[u, len(path) :] = path[-1]
-                known[u] = len(path) - 1 if len(path) > 1 else steps
-                values[u] = value
             if not gained:
                 break
-        routes = [paths[u, : min(known[u], swarm.steps_left[u]) + 1] for u in range(swarm.n_uavs)]
-        legal = followed(swarm, routes, steps)
-        return Plan(legal, commit_steps=min(self.commit_steps, steps))
-
-    def _reach(self, field, swarm, weight, paths, known, others, u, ahead):  # type: ignore[no-untyped-def]
-        flyable = swarm.flyable
-        distance = np.empty(flyable.shape, dtype=np.int32)
-        row, col = swarm.cells[u]
-        bfs(np.ascontiguousarray(flyable), int(row), int(col), distance, np.empty(flyable.size, dtype=np.int64))
-        near = (distance > 0) & (distance <= ahead)
-        if self.stride == 2:
-            near &= distance % 2 == 0
-        cells = np.argwhere(near)
-        index = np.full(flyable.shape, -1, dtype=np.int32)
-        index[near] = np.arange(len(cells))
-        planned = [paths[v, 1 : known[v] + 1] for v in others]
-        planned_cells = np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *planned]), axis=0)
-        if self.stride == 2 and len(planned_cells):
-            planned_cells = np.unique(np.concatenate([p[1::2] for p in planned]), axis=0)
-        reach_cells = self.target_range_m / swarm.spacing_m
-        span = ahead + reach_cells
-        if len(planned_cells):
-            planned_cells = planned_cells[np.abs(planned_cells - (row, col)).max(axis=1) <= span + reach_cells]
-        targets, root = targets_of(weight, (int(row), int(col)), span, self.max_targets)
-        local = field.near(swarm.cells[u : u + 1], self.max_readings)
-        joined, factor = local.whitener(planned_cells, self.noise_db2)
-        white = local.whitened(joined, factor, np.concatenate([cells, targets]))
-        mine, theirs = white[:, : len(cells)], white[:, len(cells) :]
-        among = local.prior(cells, cells).astype(np.float32) - mine.T @ mine
-        objective = OBJECTIVES[self.objective]
-        level = float(np.max(np.diag(local.prior(cells[:1], cells[:1])), initial=1.0))
-        empty = np.zeros((len(cells), 0), dtype=np.float32)
-        with_targets = given = empty
-        if objective == VARIANCE:
-            with_targets = (local.prior(cells, targets).astype(np.float32) - mine.T @ theirs) * root
-        elif objective == MUTUAL_INFORMATION:
-            both, factor2 = local.whitener(np.concatenate([planned_cells, targets]), self.noise_db2)
-            w2 = local.whitened(both, factor2, cells)
-            given = local.prior(cells, cells).astype(np.float32) - w2.T @ w2
-        return Reach(
-            index,
-            among,
-            np.ascontiguousarray(with_targets),
-            given,
-            self.noise_db2 if objective != VARIANCE else 1e-3 * level,
-            1e-4 * level,
-            objective,
-        )
+        return [paths[u, : settled[u] + 1] for u in range(swarm.n_uavs)]
 
 
-def targets_of(weight: NDArray[np.float64], centre: tuple[int, int], span: float, most: int):  # type: ignore[no-untyped-def]
-    rows, cols = weight.shape
-    low = (max(0, int(centre[0] - span)), max(0, int(centre[1] - span)))
-    high = (min(rows, int(centre[0] + span) + 1), min(cols, int(centre[1] + span) + 1))
-    window = weight[low[0] : high[0], low[1] : high[1]]
-    cells = np.argwhere(window > 0)
-    w = window[window > 0]
-    side = 1
-    while True:
-        block = (cells // side) @ np.array([10_000, 1])
-        _, where = np.unique(block, return_inverse=True)
-        n = int(where.max(initial=-1)) + 1
-        if n <= most:
-            break
-        side += 1
-    total = np.bincount(where, w, minlength=n)
-    off = np.abs(cells % side - (side - 1) / 2).sum(axis=1)
-    order = np.lexsort((off, where))
-    first = order[np.searchsorted(where[order], np.arange(n))]
-    return cells[first] + low, np.sqrt(total).astype(np.float32)
+def _planned_cells(paths: Cells, settled: NDArray[np.int64], uav: int, stride: int, span: float) -> Cells:
+    """Distinct cells ``[k, (row, col)]`` that the other UAVs have planned to measure within ``span`` cells of ``uav``."""
+    parts = [paths[v, stride : settled[v] + 1 : stride] for v in range(len(paths)) if v != uav]
+    cells = np.unique(np.concatenate(parts), axis=0) if parts else np.empty((0, 2), dtype=np.int64)
+    return cells[np.abs(cells - paths[uav, 0]).max(axis=1, initial=0) <= span]
+
+
+def independent_greedy_planner(**options: object) -> SequentialGreedyPlanner:
+    """The same search without coordination: every UAV plans as if it were alone, only keeping clear of the others."""
+    return SequentialGreedyPlanner(coordinated=False, **options)  # type: ignore[arg-type]
