@@ -1,8 +1,8 @@
 """The propagation models behind one signature, for `skygain.propagation.PROPAGATION`.
 
 Each takes ``(city, transmitters_m, altitudes_m, *, frequency_hz, seed)`` and returns the gain in dB,
-``[transmitter, altitude, row, col]``. Whoever needs more than the gain (which cells a ray reached, what the guard cut, the samples to
-use) calls the model's own module.
+``[transmitter, altitude, row, col]``; the two that trace rays also take the number of ``samples``. Whoever needs more than the gain
+(which cells a ray reached, what the guard cut) calls the model's own module.
 """
 
 from __future__ import annotations
@@ -18,12 +18,19 @@ from skygain.city import City
 
 
 def raytrace(
-    city: City, transmitters_m: ArrayLike, altitudes_m: Sequence[float], *, frequency_hz: float = 5e9, seed: int = 0
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+    samples: int | None = None,
 ) -> NDArray[np.float32]:
     """Rays only (`skygain.propagation.sionna`); -inf where none reached."""
-    from skygain.propagation.sionna import trace_gain_db
+    from skygain.propagation.sionna import DEFAULT_SAMPLES, trace_gain_db
 
-    return trace_gain_db(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed).gain_db
+    rays = DEFAULT_SAMPLES if samples is None else samples
+    return trace_gain_db(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays).gain_db
 
 
 def over_rooftop(
@@ -36,12 +43,20 @@ def over_rooftop(
 
 
 def union(
-    city: City, transmitters_m: ArrayLike, altitudes_m: Sequence[float], *, frequency_hz: float = 5e9, seed: int = 0
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+    samples: int | None = None,
 ) -> NDArray[np.float32]:
     """The stronger of the two (`skygain.propagation.truth`)."""
+    from skygain.propagation.sionna import DEFAULT_SAMPLES
     from skygain.propagation.truth import trace_truth
 
-    return trace_truth(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed).gain_db
+    rays = DEFAULT_SAMPLES if samples is None else samples
+    return trace_truth(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays).gain_db
 
 
 def gudmundson(

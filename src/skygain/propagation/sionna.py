@@ -62,7 +62,7 @@ from skygain.propagation.base import check_altitudes, check_frequency, check_tra
 from skygain.propagation.diffraction import free_space_gain_db
 from skygain.propagation.mesh import Mesh, city_buildings, clear_of_plane, ground_mesh, prism_mesh
 
-DEFAULT_SAMPLES = 3_000_000
+DEFAULT_SAMPLES = 10_000_000
 """rays per transmitter; docs/propagation.md has the measurements behind it"""
 
 GUARD_DB = 6.0
