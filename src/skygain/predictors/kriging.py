@@ -19,30 +19,41 @@ __all__ = ["KrigingBelief", "KrigingPredictor", "blind_kriging", "quadratic_krig
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr
 
 from skygain.errors import InputError
+from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.posterior import GaussianProcessPosterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.gaussian_process import KNOWN, CellKernel, GaussianProcess
 from skygain.predictors.kriging_fit import fit_to_survey
-from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, trained_parameters, trend_columns
+from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, generic_parameters, trained_parameters, trend_columns
 from skygain.predictors.readings import Readings, checked_flat, combined
 from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-FIRST_FIT = 10
+FIRST_FIT = 3
 """observations at which the covariance is fitted for the first time"""
 FIT_GROWTH = 1.5
 """it is fitted again when there are this many times as many"""
 FIT_ROWS = 300
 """observations used for one fit; more of them change the estimate little and cost their cube"""
+GENERIC_LOG_ODDS = -2.0
+"""log odds, before any data, that a place is nothing like the cities of the training"""
+FLAT_LOG_ODDS = -3.0
+"""log odds, before any data, that the gain does not follow the trained path-loss line at all; the other way round where the
+transmitter is no street-level one or the receivers do not fly, since nothing of that kind was trained on"""
+SPREAD_OUT = 0.35
+"""how widely the observations must be scattered, in terms of an even spread, before they may choose between priors"""
+TRAINED_TRANSMITTER_M = 5.0
+"""height up to which a transmitter counts as one at street level; the trained ones stand at 1.5 m"""
+TRAINED_RECEIVER_M = 5.0
+"""altitude from which a receiver counts as flying; the trained ones fly at 10 to 30 m"""
 EXPECTED_FLOOR = 0.9
 """a reading at the floor is left out where the belief gives it at least this probability"""
 BATCH = 32
@@ -63,6 +74,8 @@ class KrigingPredictor(Predictor):
     """trend and covariance to start from; ``None`` takes the trained ones for the scenario's altitudes"""
     refit: bool = True
     """fit the covariance to the survey's own data on the schedule; ``False`` keeps the parameters as they are"""
+    transmitter: Literal["required", "optional", "unused"] = field(init=False, repr=False, default="unused")
+    """only the log-distance trend needs the transmitter's position"""
 
     def __post_init__(self) -> None:
         if self.trend not in TRENDS:
@@ -72,16 +85,7 @@ class KrigingPredictor(Predictor):
             raise InputError(
                 f"a {self.trend} trend has {expected} coefficients, but the parameters give {len(self.parameters.trend)}"
             )
-
-    @property
-    def transmitter(self) -> Literal["required", "optional", "unused"]:  # type: ignore[override]
-        """Only the log-distance trend looks at the transmitter, and cannot do without."""
-        return "required" if self.trend == "log-distance" else "unused"
-
-    @property
-    def transmitter(self) -> Literal["required", "unused"]:  # type: ignore[override]
-        """Only the log-distance trend needs the transmitter's position."""
-        return "required" if self.trend == "log-distance" else "unused"
+        object.__setattr__(self, "transmitter", "required" if self.trend == "log-distance" else "unused")
 
     def begin(self, scenario: Scenario) -> KrigingBelief:
         """The belief before the first measurement.
@@ -99,6 +103,21 @@ class KrigingPredictor(Predictor):
     def trained(self, scenario: Scenario) -> KrigingParameters:
         """What a survey of ``scenario`` starts from."""
         return self.parameters or trained_parameters(self.trend, scenario.prediction_altitude_m)
+
+    def priors(self, scenario: Scenario) -> list[tuple[KrigingParameters, float]]:
+        """What the fit chooses from, the likeliest first, with the logarithm of the odds."""
+        if self.parameters is not None:
+            return [(self.parameters, 0.0)]
+        trained = self.trained(scenario)
+        generic = generic_parameters(self.trend)
+        if self.trend != "log-distance":
+            return [(trained, 0.0), (generic, GENERIC_LOG_ODDS)]
+        flat = trained_parameters("constant", scenario.prediction_altitude_m)
+        flat = replace(flat, trend=(*flat.trend, 0.0), trend_covariance=((flat.trend_covariance[0][0], 0.0), (0.0, 0.0)))
+        assert scenario.transmitter_m is not None
+        if scenario.transmitter_m[2] <= TRAINED_TRANSMITTER_M and scenario.uav_altitude_m >= TRAINED_RECEIVER_M:
+            return [(trained, 0.0), (flat, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
+        return [(flat, 0.0), (trained, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
 
 
 def blind_kriging(**options: object) -> KrigingPredictor:
@@ -245,6 +264,13 @@ def _with_floor_reading(setting: _Setting, state: _State, cell: int, floor_db: f
     return _with_rows(setting, state, Readings(at, np.array([pseudo_gain]), np.array([pseudo_noise + noise_db2])))
 
 
+def _spread(xy_m: Array, grid: Grid) -> float:
+    """How widely positions are scattered, 1 when evenly over the whole map."""
+    rows, cols = grid.shape
+    even = rows * cols * grid.spacing_m**2 / 12
+    return float(np.sqrt(max(np.linalg.det(np.cov(xy_m.T)), 0.0)) / even)
+
+
 class KrigingBelief(Belief):
     """What Kriging knows in the middle of a survey."""
 
@@ -301,10 +327,11 @@ class KrigingBelief(Belief):
         # Which rows are left out depends on their cells only, so the order of the readings does not matter.
         rank = np.random.default_rng(0).permutation(grid.size)[everything.cells]
         rows = np.argsort(rank)[:FIT_ROWS]
+        xy = grid.xy_m(grid.cells[everything.cells[rows]])
+        priors = setting.predictor.priors(self.scenario)
         parameters = fit_to_survey(
-            prior=setting.trained,
-            start=state.parameters,
-            xy_m=grid.xy_m(grid.cells[everything.cells[rows]]),
+            priors=priors if _spread(xy, grid) >= SPREAD_OUT else priors[:1],
+            xy_m=xy,
             gain_db=everything.gain_db[rows],
             noise_db2=everything.noise_db2[rows],
             columns=setting.flown_columns[everything.cells[rows]],

@@ -12,7 +12,7 @@ estimates its own θ.
 
 from __future__ import annotations
 
-__all__ = ["TRENDS", "KrigingParameters", "trained_parameters", "trend_columns"]
+__all__ = ["TRENDS", "KrigingParameters", "generic_parameters", "trained_parameters", "trend_columns"]
 
 import json
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class KrigingParameters:
     nugget_db2: float = 0.0
     """ν, variance that differs from cell to cell"""
     log_spread: tuple[float, float, float] = (0.5, 0.5, 0.5)
-    """standard deviation of log φ, log δ and log ν among surveys, the prior of the per-survey fit"""
+    """standard deviation of log φ, log δ and log ν among transmitters; the per-survey fit takes its prior from it"""
 
     def __post_init__(self) -> None:
         covariance = np.asarray(self.trend_covariance, dtype=float)
@@ -128,6 +128,18 @@ def trained_parameters(trend: str, altitude_m: float) -> KrigingParameters:
     upper = next(i for i, a in enumerate(altitudes) if a > altitude)
     low, high = altitudes[upper - 1], altitudes[upper]
     return _between(table[low], table[high], (altitude - low) / (high - low))
+
+
+def generic_parameters(trend: str) -> KrigingParameters:
+    """Parameters for a place and a quantity of which nothing is known: textbook values, wide apart, and any level.
+
+    Shadowing of about 8 dB with a decorrelation distance of some tens of metres (Gudmundson 1991; 3GPP TR 38.901), a level that
+    may be anything, as for a received power in dBm, and no path-loss line, which such data rarely bear out.
+    """
+    variance = {"log-distance": (1e4, 0.0), "constant": (1e4,), "quadratic": (1e4, 1e2, 1e2, 1e2, 1e2, 1e2)}[trend]
+    level = (-100.0,) + (0.0,) * (len(variance) - 1)
+    covariance = tuple(tuple(row) for row in np.diag(variance).tolist())
+    return KrigingParameters(level, covariance, sill_db2=64.0, range_m=40.0, nugget_db2=2.0, log_spread=(2.8, 2.0, 4.0))
 
 
 def trend_columns(trend: str, grid: Grid, altitude_m: float, transmitter_m: tuple[float, float, float] | None = None) -> Array:
