@@ -50,11 +50,12 @@ def plan_information(belief, paths, noise_db2=1.0):
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_keeps_the_contract(objective, field_predictor, variance_predictor):
-    options = dict(objective=objective, horizon=9, commit_steps=6, width=30, most_targets=60)
+    options = {"objective": objective, "horizon": 9, "commit_steps": 6, "width": 30, "most_targets": 60}
     check_planner(create_planner("sequential-greedy", **options), field_predictor)
     if objective == "variance":
         check_planner(create_planner("sequential-greedy", **options), variance_predictor)
         check_planner(create_planner("independent-greedy", **options, stride=2), field_predictor)
+        check_planner(create_planner("mcts", **options | {"tree_rounds": 40}), field_predictor)
 
 
 def test_no_plan_beats_its_certificate(field_predictor, rng):
@@ -75,9 +76,16 @@ def test_no_plan_beats_its_certificate(field_predictor, rng):
 def test_one_uav_on_a_short_horizon_is_exact(field_predictor, rng):
     swarm, belief = setting(field_predictor, np.ones((9, 9)), [[4, 4]], 5, [[4, 7], [7, 4], [2, 2]])
     best = max(plan_information(belief, paths) for paths in joint_paths(swarm, 5))
-    for options in (dict(exact_horizon=6), dict(exact_horizon=0, width=500)):
+    for options in ({"exact_horizon": 6}, {"exact_horizon": 0, "width": 500}):
         plan = create_planner("sequential-greedy", objective="entropy", **options).plan(swarm, belief, 5, rng)
         assert plan_information(belief, plan.paths) == pytest.approx(best, rel=2e-3)
+
+
+def test_tree_search_finds_the_best_short_path(field_predictor, rng):
+    swarm, belief = setting(field_predictor, np.ones((9, 9)), [[4, 4]], 3, [[4, 7], [7, 4], [2, 2]])
+    best = max(plan_information(belief, paths) for paths in joint_paths(swarm, 3))
+    plan = create_planner("mcts", objective="entropy", tree_rounds=600).plan(swarm, belief, 3, rng)
+    assert plan_information(belief, plan.paths) == pytest.approx(best, rel=1e-6)
 
 
 def test_uavs_share_the_work(field_predictor):
@@ -93,13 +101,13 @@ def test_uavs_share_the_work(field_predictor):
 
 
 def test_uses_exactly_the_posterior_covariance(field_predictor, rng):
-    swarm, belief = setting(field_predictor, np.ones((8, 8)), [[1, 1]], 5, [[3, 3], [5, 2], [2, 6]])
+    _swarm, belief = setting(field_predictor, np.ones((8, 8)), [[1, 1]], 5, [[3, 3], [5, 2], [2, 6]])
     cells = np.argwhere(np.ones((8, 8)))
     ours = planning_field(belief).conditioned().covariance(cells, cells)
     np.testing.assert_allclose(ours, belief.posterior().covariance(cells), atol=0.01)
 
 
 def test_bad_settings_are_input_errors():
-    for options in (dict(objective="luck"), dict(horizon=0), dict(stride=3), dict(noise_db2=0.0)):
+    for options in ({"objective": "luck"}, {"horizon": 0}, {"stride": 3}, {"noise_db2": 0.0}):
         with pytest.raises(InputError):
             create_planner("sequential-greedy", **options)

@@ -15,7 +15,7 @@ on the path. With one UAV and a start from which no two paths meet it is exact; 
 
 from __future__ import annotations
 
-__all__ = ["ENTROPY", "MUTUAL_INFORMATION", "VARIANCE", "Reach", "Traffic", "beam_path", "exact_path", "path_value"]
+__all__ = ["ENTROPY", "MUTUAL_INFORMATION", "VARIANCE", "Reach", "Traffic", "beam_path", "exact_path", "is_clear", "path_value"]
 
 from typing import NamedTuple
 
@@ -31,7 +31,7 @@ VARIANCE, ENTROPY, MUTUAL_INFORMATION = 0, 1, 2
 class Reach(NamedTuple):
     """Covariances of the cells that one UAV can measure, given everything already measured or planned; single precision."""
 
-    index: NDArray[np.int32]
+    number: NDArray[np.int32]
     """``[row, col]`` position of a cell among the m measurable cells, −1 for a cell that is passed without counting it"""
     among: NDArray[np.float32]
     """``[m, m]`` covariance of the measurable cells"""
@@ -59,7 +59,7 @@ class Traffic(NamedTuple):
 
 
 @njit(cache=True)
-def _is_clear(uav, step, row, col, to_row, to_col, traffic, air):
+def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     """Whether moving from (row, col) to (to_row, to_col) as move number ``step`` (from 1) keeps clear of the settled paths."""
     for other in range(len(traffic.paths)):
         if other == uav or traffic.left[other] < step:
@@ -206,9 +206,9 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
                 to_row, to_col = row + DROW[order[k]], col + DCOL[order[k]]
                 if not may_enter(uav, to_row, to_col, traffic.left[uav] - step + 1, air):
                     continue
-                if not _is_clear(uav, step, row, col, to_row, to_col, traffic, air):
+                if not is_clear(uav, step, row, col, to_row, to_col, traffic, air):
                     continue
-                there, cell, gain = to_row * cols + to_col, reach.index[to_row, to_col], -1.0
+                there, cell, gain = to_row * cols + to_col, reach.number[to_row, to_col], -1.0
                 mine = slot[there]
                 if mine >= 0 and value[node] + (alone[cell] if cell >= 0 else 0.0) <= c_value[mine]:
                     continue  # it cannot win
@@ -273,7 +273,7 @@ def path_value(path, reach: Reach):
     row_of, chain = np.empty(n, dtype=np.int64), np.arange(n)
     depth, total = 0, 0.0
     for k in range(1, n):
-        cell = reach.index[path[k, 0], path[k, 1]]
+        cell = reach.number[path[k, 0], path[k, 1]]
         if cell < 0:
             continue
         gain = _gain(cell, chain, depth, row_of, factor, given, maps, reach, factor[depth], given[depth], maps[depth])
@@ -314,9 +314,9 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
         to_row, to_col = row + DROW[order[choice[step]]], col + DCOL[order[choice[step]]]
         if not may_enter(uav, to_row, to_col, traffic.left[uav] - step, air):
             continue
-        if not _is_clear(uav, step + 1, row, col, to_row, to_col, traffic, air):
+        if not is_clear(uav, step + 1, row, col, to_row, to_col, traffic, air):
             continue
-        cell, gain, depth = reach.index[to_row, to_col], -1.0, depths[step]
+        cell, gain, depth = reach.number[to_row, to_col], -1.0, depths[step]
         if cell >= 0:
             gain = _gain(cell, chain, depth, row_of, factor, given, maps, reach, factor[depth], given[depth], maps[depth])
         step += 1

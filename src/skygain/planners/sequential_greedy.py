@@ -14,7 +14,7 @@ With ``entropy`` a plan carries a certificate (`skygain.planners.certificate`).
 
 from __future__ import annotations
 
-__all__ = ["OBJECTIVES", "SequentialGreedyPlanner", "independent_greedy_planner"]
+__all__ = ["OBJECTIVES", "SequentialGreedyPlanner", "independent_greedy_planner", "tree_search_planner"]
 
 from dataclasses import dataclass
 
@@ -36,6 +36,7 @@ from skygain.planners.path_search import (
     path_value,
 )
 from skygain.planners.reach import LocalReach
+from skygain.planners.tree_search import tree_path
 from skygain.planners.volatility import volatility
 from skygain.predictors.base import Belief
 from skygain.swarm import Swarm
@@ -62,6 +63,8 @@ class SequentialGreedyPlanner(Planner):
     """paths kept per depth of the beam search"""
     exact_horizon: int = 6
     """horizons up to this are searched exhaustively, UAV by UAV"""
+    tree_rounds: int = 0
+    """rounds of Monte-Carlo tree search per path, which takes the beam's place if above 0"""
     stride: int | None = None
     """1 scores every cell of a path, 2 every second one; ``None`` takes 1 up to a horizon of 24 and 2 beyond"""
     coordinated: bool = True
@@ -80,10 +83,10 @@ class SequentialGreedyPlanner(Planner):
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
             raise InputError(f"unknown objective {self.objective!r}; known: {', '.join(OBJECTIVES)}")
-        if min(self.horizon, self.commit_steps, self.width) < 1 or self.sweeps < 0:
+        if min(self.horizon, self.commit_steps, self.width) < 1 or min(self.sweeps, self.tree_rounds) < 0:
             raise InputError(
-                "sequential greedy needs horizon, commit_steps and width >= 1 and sweeps >= 0, got "
-                f"{self.horizon}, {self.commit_steps}, {self.width} and {self.sweeps}"
+                "sequential greedy needs horizon, commit_steps, width >= 1 and sweeps, tree_rounds >= 0, got "
+                f"{self.horizon}, {self.commit_steps}, {self.width} and {self.sweeps}, {self.tree_rounds}"
             )
         if self.stride not in (None, 1, 2):
             raise InputError(f"stride must be 1, 2 or None, got {self.stride}")
@@ -138,10 +141,14 @@ class SequentialGreedyPlanner(Planner):
                 planned = _planned_cells(paths, settled, int(u), stride, span) if self.coordinated else np.empty((0, 2), np.int64)
                 here = reach[u].given(planned)
                 traffic, order = Traffic(paths, settled, swarm.steps_left), rng.permutation(4)
-                if ahead[u] <= self.exact_horizon:
-                    path, value = exact_path(u, swarm.cells[u], ahead[u], order, here, traffic, air)
+                start = swarm.cells[u], ahead[u]
+                if self.tree_rounds:
+                    draws = rng.random((self.tree_rounds, ahead[u], 5))
+                    path, value = tree_path(u, *start, draws, here, traffic, air)
+                elif ahead[u] <= self.exact_horizon:
+                    path, value = exact_path(u, *start, order, here, traffic, air)
                 else:
-                    path, value = beam_path(u, swarm.cells[u], ahead[u], self.width, order, here, traffic, air)
+                    path, value = beam_path(u, *start, self.width, order, here, traffic, air)
                 if sweep and value <= path_value(paths[u, : settled[u] + 1], here) * (1 + GAIN_SHARE):
                     continue
                 gained = True
@@ -163,3 +170,8 @@ def _planned_cells(paths: Cells, settled: NDArray[np.int64], uav: int, stride: i
 def independent_greedy_planner(**options: object) -> SequentialGreedyPlanner:
     """The same search without coordination: every UAV plans as if it were alone, only keeping clear of the others."""
     return SequentialGreedyPlanner(coordinated=False, **options)  # type: ignore[arg-type]
+
+
+def tree_search_planner(**options: object) -> SequentialGreedyPlanner:
+    """The same objective and coordination with Monte-Carlo tree search for each path."""
+    return SequentialGreedyPlanner(**({"tree_rounds": 1000} | options))  # type: ignore[arg-type]

@@ -20,4 +20,4 @@ RATIO = np.array([0.17, 0.18, 0.22, 0.30, 0.45, 0.69, 1.11, 1.69, 1.86, 1.40, 1.
 
 def volatility(mean_db: ArrayLike) -> NDArray[np.float64]:
     """Expected squared error of Kriging over its variance where it predicts the gain ``mean_db``, in that shape."""
-    return np.interp(mean_db, GAIN_DB, RATIO)
+    return np.interp(np.asarray(mean_db, dtype=float), GAIN_DB, RATIO)
