@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_ndtr, ndtr
 
 from skygain.errors import InputError
@@ -293,6 +293,11 @@ class KrigingBelief(Belief):
         """Posterior mean ``[k]`` and covariance ``[k, k]`` of the trend's coefficients θ."""
         shift, covariance = self._state.trend_posterior()
         return np.asarray(self.parameters.trend) + shift, covariance
+
+    def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
+        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading: φ exp(−d/δ) + ν·1[d = 0]."""
+        distance, kernel = np.asarray(distance_m, dtype=float), self.parameters
+        return kernel.sill_db2 * np.exp(-distance / kernel.range_m) + kernel.nugget_db2 * (distance == 0)
 
     def updated(self, measurements: Measurements) -> KrigingBelief:
         """The belief after ``measurements`` as well.
