@@ -125,6 +125,25 @@ def test_the_guard_cuts_what_is_above_and_counts_it_outdoors(two_boxes: City) ->
     assert gain[0, 0, 20, 20] == pytest.approx(-300, abs=0.1)
 
 
+def test_a_roof_edge_that_nearly_lies_in_the_plane_causes_no_bursts() -> None:
+    """Left where it is, the roof of this wall throws single cells 14 to 56 dB above free space (benchmarks/ray_excess.py)."""
+    city = city_of([box(20, 0, 460, 20, 10.26)], shape=(121, 121))
+    transmitter = (243.0, 40.0, 1.5)
+    far = np.broadcast_to(city.grid.y_m[:, None] > 60, city.grid.shape)
+    friis = friis_mean_db(city, transmitter, 10.0)
+    for seed in range(3):
+        power = [
+            10
+            ** (
+                trace_gain_db(city, transmitter, [10.0], samples=1_000_000, seed=seed, max_reflections=1, diffraction=d).gain_db
+                / 10
+            )
+            for d in (True, False)
+        ]
+        diffracted = np.maximum(power[0] - power[1], 1e-30)[0, 0]
+        assert (10 * np.log10(diffracted) - friis)[far].max() < 0
+
+
 def test_roofs_are_kept_away_from_the_cells_by_less_than_a_storey() -> None:
     """The error of direction that makes it necessary grows with the map, so the distance does too, up to a bound."""
     small, protocol, large = (sionna._clearance_m(city_of([], shape=(n, n))) for n in (30, 121, 1000))
