@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import importlib.util
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from skygain.errors import InputError
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
+from skygain.predictors.kriging import KrigingPredictor
+from skygain.predictors.kriging_parameters import KrigingParameters
 from skygain.scenario import Scenario
 from skygain.swarm import MOVES, FlightRules, Swarm
 from skygain.testing.planners import check_planner
@@ -62,11 +66,11 @@ def best_by_brute_force(swarm, covariance, steps):
 WALLED = np.ones((5, 6))
 WALLED[2, 1:4] = 0
 CASES = [
-    ([[1, 1]], 6, None),
-    ([[1, 1], [1, 3]], 4, None),
-    ([[0, 0], [0, 2]], 4, FlightRules(min_distance_m=8.0)),
+    ([[1, 1]], 5, None),
+    ([[1, 1], [1, 3]], 3, None),
+    ([[0, 0], [0, 2]], 3, FlightRules(min_distance_m=8.0)),
     ([[1, 1], [1, 2]], 3, FlightRules(separate=False)),
-    ([[0, 1], [1, 2], [3, 3]], 3, None),
+    ([[0, 1], [1, 2], [3, 3]], 2, None),
     ([[0, 1], [1, 2]], 4, FlightRules(return_to_start=True)),
 ]
 
@@ -90,6 +94,27 @@ def test_conditioned_equals_brute_force_with_the_posterior(field_predictor, rng,
     covariance = belief.posterior().covariance
     plan = create_planner("entropy-vi-conditioned", horizon=steps).plan(swarm, belief, steps, rng)
     assert path_entropy(covariance, plan.paths) == pytest.approx(best_by_brute_force(swarm, covariance, steps), abs=1e-3)
+
+
+def test_equals_the_dense_reference(rng):
+    path = Path(__file__).parents[2] / "benchmarks" / "dense_value_iteration.py"
+    spec = importlib.util.spec_from_file_location("dense_value_iteration", path)
+    dense = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(dense)
+    free = rng.random((9, 9)) > 0.2
+    start = np.argwhere(free)[[3, 9]]
+    scenario = Scenario(City(Grid(free.shape, 4.0), np.where(free, 0, 30).astype(np.float32)), transmitter_m=(0.0, 0.0, 99.0))
+    swarm = Swarm.deployed(scenario, start, 9)
+    parameters = KrigingParameters.known_trend(20.0, 60.0, sill_db2=380.0, range_m=57.0)
+    belief = KrigingPredictor(parameters=parameters, refit=False).begin(scenario)
+    plan = create_planner("entropy-vi").plan(swarm, belief, 9, rng)
+
+    def prior(cells):
+        gap = np.hypot(*(cells[:, None] - cells[None]).transpose(2, 0, 1)) * 4.0
+        return 380.0 * np.exp(-gap / 57.0)
+
+    assert plan.n_steps == 9
+    assert path_entropy(prior, plan.paths) == pytest.approx(dense.dense_value(free, start, 9, 380.0, 57.0, 4.0), abs=1e-4)
 
 
 def test_keeps_the_contract(field_predictor, variance_predictor):

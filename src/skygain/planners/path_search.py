@@ -8,9 +8,9 @@ of the parent. With d_v the variance of v given the path, and σ² the noise var
 - entropy:             ½ log(1 + d_v/σ²);
 - mutual information:  ½ log((d_v + σ²)/(d_v|X + σ²)), d_v|X the variance given all targets as well.
 
-At every depth the search keeps one survivor per cell, the best path that ends there, and of those the best ``width``. One survivor
-per cell keeps the beam from filling up with copies of a single path; it makes the search a dynamic programme whose rewards depend
-on the path. With one UAV and a start from which no two paths meet it is exact; see `exact_path` for short horizons.
+At every depth the search keeps one survivor per cell (or per cell and last move), the best path that ends so, and of those the
+best ``width``. That keeps the beam from filling up with copies of a single path; it makes the search a dynamic programme whose
+rewards depend on the path. Short horizons are searched exhaustively by `exact_path`.
 """
 
 from __future__ import annotations
@@ -165,12 +165,14 @@ def _gains_alone(reach: Reach):
 
 
 @njit(cache=True)
-def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic, air: Airspace):
+def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic: Traffic, air: Airspace):
     """``[k + 1, (row, col)]`` best path found from ``start``, k <= horizon (shorter if it got stuck), and its value.
 
-    ``order`` is the order in which the four moves are tried; among equals the first wins.
+    ``by_move`` keeps one survivor per cell and last move instead of one per cell: better over short horizons, where the beam is wide
+    enough to hold them. ``order`` is the order in which the four moves are tried; among equals the first wins.
     """
     rows, cols = air.flyable.shape
+    split = 1 if by_move else 0
     n_targets = reach.targets.shape[1] if reach.objective == VARIANCE else 0
     most = horizon * width + 1
     at = np.empty(most, dtype=np.int64)  # cell of each node
@@ -182,11 +184,12 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
     factor = np.empty((most, horizon), dtype=np.float32)
     factor_given = np.empty((most if reach.objective == MUTUAL_INFORMATION else 1, horizon), dtype=np.float32)
     maps = np.empty((most if n_targets else 1, n_targets), dtype=np.float32)
-    # candidates of one layer: at most one per cell
-    slot = np.full(rows * cols, -1)
+    # candidates of one layer: at most one per cell and last move
+    slot = np.full(4 * rows * cols, -1)
     room = 4 * width
     c_at = np.empty(room, dtype=np.int64)
     c_parent = np.empty(room, dtype=np.int64)
+    c_move = np.empty(room, dtype=np.int64)
     c_cell = np.empty(room, dtype=np.int64)  # measurable cell, −1 if nothing new is measured
     c_value = np.empty(room)
     c_row = np.empty((room + 1, horizon), dtype=np.float32)
@@ -209,7 +212,7 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
                 if not is_clear(uav, step, row, col, to_row, to_col, traffic, air):
                     continue
                 there, cell, gain = to_row * cols + to_col, reach.number[to_row, to_col], -1.0
-                mine = slot[there]
+                mine = slot[4 * there + split * order[k]]
                 if mine >= 0 and value[node] + (alone[cell] if cell >= 0 else 0.0) <= c_value[mine]:
                     continue  # it cannot win
                 if cell >= 0:
@@ -220,7 +223,8 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
                 total = value[node] + max(gain, 0.0)
                 if mine < 0:
                     mine = count
-                    slot[there] = mine
+                    slot[4 * there + split * order[k]] = mine
+                    c_move[mine] = order[k]
                     count += 1
                 elif total <= c_value[mine]:
                     continue
@@ -245,7 +249,7 @@ def beam_path(uav, start, horizon, width, order, reach: Reach, traffic: Traffic,
                     maps[node] = c_map[line]
             end += 1
         for c in range(count):
-            slot[c_at[c]] = -1
+            slot[4 * c_at[c] + split * c_move[c]] = -1
     best = first
     for node in range(first, end):
         if value[node] > value[best]:

@@ -148,7 +148,7 @@ class SequentialGreedyPlanner(Planner):
                 elif ahead[u] <= self.exact_horizon:
                     path, value = exact_path(u, *start, order, here, traffic, air)
                 else:
-                    path, value = beam_path(u, *start, self.width, order, here, traffic, air)
+                    path, value = beam_path(u, *start, self.width, stride == 1, order, here, traffic, air)
                 if sweep and value <= path_value(paths[u, : settled[u] + 1], here) * (1 + GAIN_SHARE):
                     continue
                 gained = True
