@@ -60,13 +60,13 @@ def test_learning_lowers_the_loss_on_what_it_trains_on():
     batch = task.batch(links, 4, np.random.default_rng(0))
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
     losses = []
-    for _ in range(30):
+    for _ in range(15):
         loss = task.loss(network, batch)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
-    assert losses[-1] < 0.7 * losses[0]
+    assert losses[-1] < 0.8 * losses[0]
 
 
 def test_loss_is_the_normal_likelihood_without_its_constant(rng):

@@ -1,26 +1,35 @@
 """The operator predictor: its algebra is exact whatever the network says, so an untrained network serves as well."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.operator_net import PropagationOperator
+from skygain.learning.path_model import USED
 from skygain.measurements import Measurements
+from skygain.predictors.evidence import SMALLEST, Evidence, Factor, posterior_weights
 from skygain.predictors.operator import OperatorPredictor, OperatorSettings
 from skygain.predictors.residual_field import SMALLEST_VARIANCE, CorrelationModel, ResidualField
 from skygain.predictors.transmitter_search import coarse_squares, split_square
 from skygain.testing.predictors import check_predictor, example_scenario
 
-QUICK = OperatorSettings(at_most=60)
+QUICK = OperatorSettings(at_most=60, fine_at_most=200)
 
 
 @pytest.fixture(scope="module")
 def predictor(tmp_path_factory):
     torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("weights") / "operator.safetensors"
-    save_checkpoint(path, PropagationOperator().state_dict(), {"name": "untrained"})
-    return OperatorPredictor(weights=path, settings=QUICK)
+    folder = tmp_path_factory.mktemp("weights")
+    save_checkpoint(folder / "operator.safetensors", PropagationOperator().state_dict(), {"name": "untrained"})
+    sizes = (len(USED), 8, 2)
+    layers = {f"{i}.weight": torch.randn(b, a) / 4 for i, (a, b) in enumerate(pairwise(sizes))}
+    save_checkpoint(folder / "paths.safetensors", layers | {f"{i}.bias": torch.zeros(b) for i, b in enumerate(sizes[1:])}, {})
+    return OperatorPredictor(weights=folder / "operator.safetensors", paths=folder / "paths.safetensors", settings=QUICK)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -41,6 +50,52 @@ def test_the_field_is_the_textbook_gaussian_process(rng):
     expected = np.linalg.solve(np.linalg.cholesky(K), R[cells])
     assert np.allclose(field.W, expected, atol=1e-4)
     assert np.allclose(field.left, 1 - (expected**2).sum(0), atol=1e-4)
+
+
+def evidence_of(readings, updates, soften=1e9):
+    """Evidence after ``readings`` = (cells, z, std), taken in parts of the sizes ``updates``."""
+    cells, z, std = readings
+    factor, evidence, at = Factor.empty(CorrelationModel(nugget=0.3), 4.0), Evidence.none(z.shape[1]), 0
+    for size in updates:
+        part = slice(at, at + size)
+        factor, rows = factor.grown(cells[part], np.zeros(size))
+        evidence, at = evidence.grown(z[part], std[part], rows, soften), at + size
+    return factor, evidence
+
+
+@pytest.fixture
+def readings(rng):
+    cells = np.stack(np.divmod(rng.permutation(100)[:9], 10), axis=-1)
+    return cells, rng.normal(size=(9, 4)), rng.uniform(2, 9, size=(9, 4))
+
+
+def test_the_likelihood_is_the_multivariate_students(readings):
+    cells, z, std = readings
+    factor, evidence = evidence_of(readings, [9])
+    distance = 4.0 * np.hypot(*np.moveaxis(cells[:, None] - cells[None], -1, 0))
+    R = factor.model.correlation(distance) + SMALLEST * np.eye(9)
+    expected = [
+        stats.multivariate_t(loc=np.zeros(9), shape=np.outer(s, s) * R, df=5).logpdf(v * s)
+        for v, s in zip(z.T, std.T, strict=True)
+    ]
+    found = evidence.log_likelihood(5.0)
+    assert np.allclose(found - found[0], np.array(expected) - expected[0], atol=1e-4)
+
+
+def test_the_likelihood_does_not_depend_on_how_the_readings_came(readings):
+    straight, parts = evidence_of(readings, [9], 2.0)[1], evidence_of(readings, [1, 5, 3], 2.0)[1]
+    assert np.allclose(straight.log_likelihood(3.0), parts.log_likelihood(3.0), atol=1e-4)
+    factor, _ = evidence_of(readings, [4, 5], 2.0)
+    late = Evidence.solved(readings[1], readings[2], factor, 2.0)
+    assert np.allclose(straight.log_likelihood(3.0), late.log_likelihood(3.0), atol=1e-4)
+
+
+def test_weights_are_probabilities_and_the_power_flattens_them():
+    prior, likelihood = np.array([1.0, 1.0, 2.0]), np.array([0.0, -4.0, -400.0])
+    sharp, flat = posterior_weights(prior, likelihood, 1.0), posterior_weights(prior, likelihood, 0.01)
+    assert np.isclose(sharp.sum(), 1)
+    assert sharp[0] > flat[0]
+    assert np.allclose(posterior_weights(prior, likelihood, 0.0), [0.25, 0.25, 0.5])
 
 
 def test_an_older_field_survives_a_branch():
@@ -115,8 +170,6 @@ def test_variance_shrinks_where_the_transmitter_is_known(predictor, rng):
 
 
 def test_another_altitude_for_the_map_than_for_the_flight(predictor):
-    from dataclasses import replace
-
     scenario = replace(example_scenario(transmitter=False), prediction_altitude_m=20.0)
     posterior = predictor.begin(scenario).updated(Measurements.at([[0, 0]], [-90.0])).posterior()
     assert np.isfinite(posterior.mean_db).all()

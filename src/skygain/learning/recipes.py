@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from skygain.errors import InputError
+from skygain.learning.path_model import train_path_model
 from skygain.learning.survey_tasks import DirectTask, PaperTask
 from skygain.learning.tasks import OperatorTask
 from skygain.learning.train import Result, TrainConfig, train
+from skygain.learning.weights import export_weights, runs_folder
 
 OURS = TrainConfig(task=OperatorTask(), data="", out="", batch_size=16, hold_steps=8000)
 PAPER = TrainConfig(
@@ -51,17 +53,30 @@ def recipe(name: str) -> TrainConfig:
         InputError: no recipe has that name; the message lists those that exist.
     """
     if name not in RECIPES:
-        raise InputError(f"unknown recipe {name!r}; known: {', '.join(sorted(RECIPES))}")
+        raise InputError(f"unknown recipe {name!r}; known: {', '.join(sorted([*RECIPES, 'path-model']))}")
     return RECIPES[name]
 
 
 def train_predictor(
     name: str,
     data: str | Path,
-    out: str | Path,
+    out: str | Path | None = None,
     *,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
     **changes: Any,
 ) -> Result:
-    """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is there; ``changes`` override the recipe."""
-    return train(replace(recipe(name), data=str(data), out=str(out), **changes), report)
+    """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is there; ``changes`` override the recipe.
+
+    The averaged weights end up as ``out/<name>.safetensors`` with a card in JSON beside them. Without ``out`` the run lives in
+    `runs_folder`, where the predictor of that name finds its weights.
+
+    Raises:
+        InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
+    """
+    folder = Path(out) if out is not None else runs_folder() / name
+    weights = folder / f"{name}.safetensors"
+    if name == "path-model":
+        return train_path_model(data, weights, report=report, **changes)
+    result = train(replace(recipe(name), data=str(data), out=str(folder), **changes), report)
+    export_weights(result.checkpoint, weights, {"name": name, "data": Path(data).name, "precision": "float16"})
+    return result

@@ -1,12 +1,12 @@
 """Weights that ship with the package or were trained here, and the card that says where they come from.
 
-A weight file is safetensors; the card stands in its header and, readable, beside it. Weights are looked for in the package first
-and then in the user's cache, where `skygain train predictor` leaves them.
+A weight file is safetensors; the card stands in its header and, readable, beside it. Weights are looked for by name in the package
+first, then in `runs_folder`, where `train_predictor` leaves them; a file of one's own is given by its path.
 """
 
 from __future__ import annotations
 
-__all__ = ["export_weights", "find_weights", "load_network", "user_weights"]
+__all__ = ["export_weights", "find_weights", "load_network", "runs_folder", "weight_file"]
 
 import json
 import os
@@ -22,9 +22,9 @@ from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
 PACKAGE_WEIGHTS = Path(__file__).parents[1] / "data" / "weights"
 
 
-def user_weights() -> Path:
-    """Folder of weights trained on this machine: ``$SKYGAIN_CACHE/weights``, by default ``~/.cache/skygain/weights``."""
-    return Path(os.environ.get("SKYGAIN_CACHE", Path.home() / ".cache" / "skygain")) / "weights"
+def runs_folder() -> Path:
+    """Where runs go unless told otherwise: ``$SKYGAIN_CACHE/runs``, by default ``~/.cache/skygain/runs``."""
+    return Path(os.environ.get("SKYGAIN_CACHE", Path.home() / ".cache" / "skygain")) / "runs"
 
 
 def find_weights(name: str) -> Path:
@@ -33,14 +33,18 @@ def find_weights(name: str) -> Path:
     Raises:
         InputError: there is none; the message says which command makes it.
     """
-    for folder in (PACKAGE_WEIGHTS, user_weights()):
-        path = folder / f"{name}.safetensors"
+    for path in (PACKAGE_WEIGHTS / f"{name}.safetensors", runs_folder() / name / f"{name}.safetensors"):
         if path.exists():
             return path
     raise InputError(
         f"the weights {name!r} do not ship with this version and were not trained here; make them with: "
-        f"skygain train predictor --recipe {name} (a data set is needed: skygain data --help)"
+        f"skygain train predictor --recipe {name} (a data set is needed: skygain dataset --help)"
     )
+
+
+def weight_file(name: str | Path) -> Path:
+    """The file ``name`` if it ends in ``.safetensors``, else the weights of that name."""
+    return Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
 
 
 def export_weights(checkpoint: Path, path: Path, card: dict[str, Any]) -> None:
@@ -54,7 +58,7 @@ def export_weights(checkpoint: Path, path: Path, card: dict[str, Any]) -> None:
 
 def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
     """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to evaluation, and return their card."""
-    path = Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
+    path = weight_file(name)
     tensors, card = load_checkpoint(path)
     if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
         tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}

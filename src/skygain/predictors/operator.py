@@ -1,14 +1,13 @@
 """The propagation-operator predictor: a learned (city, transmitter) → gain map, a transmitter inferred from the survey, and Kriging on top.
 
-Every candidate position c of the transmitter has a map m_c ± s_c from `skygain.learning.operator_net`. Measurements y reweight the
-candidates,
+Two models judge where the transmitter is. The path model (`skygain.learning.path_model`) is cheap: after every reading it weighs all
+positions on an 8 m grid over the map and 102 m around it. The propagation operator (`skygain.learning.operator_net`) is better and
+dear: its maps exist for the squares of a quadtree, coarse at first, and each update cuts the square that either model finds
+heaviest into quarters, down to one cell. Each candidate's weight is prior · likelihood^τ with the likelihood of `evidence`; τ falls with
+the number of readings.
 
-    log w_c = log prior_c − τ [ (ν + n)/2 · log(1 + |u_c|²/ν) + Σ_i log s_c(i) ],   u_c = L⁻¹ (y − m_c)/s_c,
-
-a Student likelihood of the correlated residual (a normal one whose overall scale is unknown), tempered by τ since the operator is
-wrong in ways no stationary field describes. Squares of the candidate quadtree that gather weight are cut into finer ones. The
-posterior is the mixture of the Kriging-corrected maps, summarised by its mean and its full variance, the disagreement between
-candidates included. With the transmitter known there is one candidate and the same code.
+The posterior is the mixture of the candidates' maps, each corrected by Kriging of its residual (`residual_field`), summarised by its mean
+and full variance, the disagreement between candidates included. With the transmitter known there is one candidate and the same code.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from scipy.linalg import solve_triangular
 from skygain.measurements import Measurements
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
+from skygain.predictors.evidence import Evidence, Factor, posterior_weights
 from skygain.predictors.operator_maps import OperatorMaps, OperatorNetwork
 from skygain.predictors.readings import checked_flat, combined
 from skygain.predictors.residual_field import CorrelationModel, ResidualField
@@ -47,18 +47,28 @@ class OperatorSettings:
 
     correlation: CorrelationModel = field(default_factory=CorrelationModel)
     """of the operator's standardised residual"""
-    temper: float = 0.5
-    """τ, power of the likelihood"""
-    degrees: float = 10.0
+    misfit_correlation: CorrelationModel = field(
+        default_factory=lambda: CorrelationModel(length_m=30.0, far_share=0.1, nugget=0.7)
+    )
+    """of the softened residual in the likelihood of a candidate, where trusting the correlation less found the transmitter more often"""
+    temper: float = 2.0
+    """κ, the likelihood's power is κ/√n"""
+    degrees: float = 3.0
     """ν, degrees of freedom of the residual's scale"""
-    blur_db_per_m: float = 0.3
-    """standard deviation added per metre of a candidate square's side, since its map is that of its middle"""
+    soften: float = 3.0
+    """a, where large residuals begin to count with their logarithm only"""
+    blur_db_per_m: float = 0.2
+    """standard deviation added per metre of a candidate square's side, since its map is that of one point of it"""
     margin_m: float = 102.0
     """how far outside the map a transmitter may stand"""
-    coarse_m: float = 16.0
+    coarse_m: float = 32.0
     """side of the first squares"""
-    at_most: int = 900
+    fine_m: float = 8.0
+    """spacing of the path model's positions"""
+    at_most: int = 300
     """largest number of first squares"""
+    fine_at_most: int = 4000
+    """largest number of the path model's positions"""
     splits: int = 1
     """squares cut into four per update"""
     split_weight: float = 0.02
@@ -75,6 +85,8 @@ class OperatorPredictor(Predictor):
 
     weights: str | Path = "operator"
     """name or file of the network's weights"""
+    paths: str | Path = "path-model"
+    """name or file of the path model's weights"""
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     """inference settings"""
     transmitter: Literal["required", "optional", "unused"] = field(init=False, repr=False, default="optional")
@@ -90,18 +102,24 @@ class OperatorPredictor(Predictor):
             spacing, (x0, y0) = scenario.grid.spacing_m, scenario.grid.origin_m
             squares: tuple[Square, ...] = (Square(0, 0, 0, ((y - y0) / spacing, (x - x0) / spacing), 1.0),)
             indices = maps.indices([(*squares[0].position, float(z))])
+            fine = Search.over([], maps.height_z_m)
         else:
             squares = tuple(coarse_squares(scenario, settings.margin_m, settings.coarse_m, settings.at_most))
             indices = maps.indices([square.position for square in squares])
-        candidates = Candidates(squares, indices, np.empty((0, len(squares)), np.float32), np.zeros(len(squares)))
+            fine_squares = coarse_squares(scenario, settings.margin_m, settings.fine_m, settings.fine_at_most)
+            fine = Search.over(fine_squares, maps.height_z_m)
+        candidates = Candidates(squares, indices, np.empty((0, len(squares)), np.float32), Evidence.none(len(squares)))
         residual = ResidualField.empty(settings.correlation, scenario.grid.shape, scenario.grid.spacing_m)
+        factor = Factor.empty(settings.misfit_correlation, scenario.grid.spacing_m)
         nothing = np.empty(0, dtype=np.int64)
-        return OperatorBelief(scenario, Measurements.none(), settings, maps, candidates, residual, nothing, np.empty(0), {})
+        return OperatorBelief(
+            scenario, Measurements.none(), settings, maps, candidates, fine, residual, factor, nothing, np.empty(0), {}
+        )
 
     def _maps(self, scenario: Scenario) -> OperatorMaps:
         key = (id(scenario.city), scenario.uav_altitude_m, scenario.prediction_altitude_m, scenario.frequency_hz)
         if key not in self._kept or self._kept[key].scenario.city is not scenario.city:
-            network = next(iter(self._kept.values())).network if self._kept else OperatorNetwork(self.weights)
+            network = next(iter(self._kept.values())).network if self._kept else OperatorNetwork(self.weights, self.paths)
             self._kept[key] = OperatorMaps(network, scenario)
             while len(self._kept) > KEPT_SCENARIOS:
                 self._kept.popitem(last=False)
@@ -118,9 +136,37 @@ class Candidates:
     maps: NDArray[np.int64]
     """``[c]`` index of each one's map"""
     whitened: NDArray[np.float32]
-    """``[n, c]`` u_c"""
-    log_scale: NDArray[np.float64]
-    """``[c]`` Σ_i log s_c(i)"""
+    """``[n, c]`` L⁻¹ z_c, for Kriging"""
+    evidence: Evidence
+    """for the weights"""
+
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """``[c]`` unnormalised."""
+        return np.array([square.prior for square in self.squares])
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """All positions, as the path model judges them."""
+
+    position: NDArray[np.float64]
+    """``[k, (row, col, z)]``"""
+    prior: NDArray[np.float64]
+    """``[k]`` unnormalised"""
+    evidence: Evidence
+    """of each"""
+
+    @classmethod
+    def over(cls, squares: list[Square], height_z_m: float) -> Search:
+        """Before the first measurement."""
+        position = np.array([(*square.position, height_z_m) for square in squares]).reshape(-1, 3)
+        return cls(position, np.array([square.prior for square in squares]), Evidence.none(len(squares)))
+
+    def inside(self, square: Square) -> NDArray[np.int64]:
+        """Positions that lie in ``square``."""
+        low = np.array([square.row, square.col])
+        return np.flatnonzero(((self.position[:, :2] >= low) & (self.position[:, :2] < low + square.side)).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +180,13 @@ class OperatorBelief(Belief):
     maps: OperatorMaps
     """candidate maps, shared with other beliefs over the same city"""
     candidates: Candidates
-    """positions and their evidence"""
+    """positions with a map, and their evidence"""
+    search: Search
+    """all positions"""
     residual: ResidualField
-    """factor of the residual's correlation"""
+    """factor of the residual's correlation, for Kriging"""
+    factor: Factor
+    """the same for the likelihood"""
     cells: NDArray[np.int64]
     """``[n]`` raveled cells taken in"""
     values: NDArray[np.float64]
@@ -146,13 +196,12 @@ class OperatorBelief(Belief):
 
     def weights(self) -> NDArray[np.float64]:
         """``[c]`` posterior probability of each candidate."""
-        s, c = self.settings, self.candidates
-        n = len(self.cells)
-        square = (c.whitened.astype(np.float64) ** 2).sum(axis=0)
-        log_weight = np.log([square_.prior for square_ in c.squares])
-        log_weight -= s.temper * (0.5 * (s.degrees + n) * np.log1p(square / s.degrees) + c.log_scale)
-        weight = np.exp(log_weight - log_weight.max())
-        return weight / weight.sum()
+        c = self.candidates
+        return posterior_weights(c.prior, c.evidence.log_likelihood(self.settings.degrees), self._power)
+
+    @property
+    def _power(self) -> float:
+        return min(1.0, self.settings.temper / np.sqrt(max(len(self.cells), 1)))
 
     def updated(self, measurements: Measurements) -> OperatorBelief:
         """The belief after ``measurements``; exact readings of a cell already known exactly carry no news.
@@ -214,51 +263,72 @@ class OperatorBelief(Belief):
         return self._candidates_at(cells)[1] @ self.weights()
 
     def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_share: NDArray[np.float64]) -> OperatorBelief:
+        residual, c, soften = self.residual, self.candidates, self.settings.soften
+        places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
         mean, variance = self._candidates_at(cells)
         std = np.sqrt(variance)
-        residual, whitened = self.residual, self.candidates.whitened
-        cols = self.scenario.grid.shape[1]
-        for k, cell in enumerate(cells):
-            residual, tie = residual.grown(divmod(int(cell), cols), float(noise_share[k]))
-            row = ((gain[k] - mean[k]) / std[k] - tie @ whitened) / residual.diagonal[-1]
-            whitened = np.concatenate([whitened, row[None].astype(np.float32)])
-        log_scale = self.candidates.log_scale + np.log(std).sum(axis=0, dtype=np.float64)
-        candidates = replace(self.candidates, whitened=whitened, log_scale=log_scale)
+        z = (gain[:, None].astype(np.float32) - mean) / std
+        whitened = c.whitened
+        for k, (row, col) in enumerate(places.tolist()):
+            residual, tie = residual.grown((row, col), float(noise_share[k]))
+            whitened = np.concatenate([whitened, (z[k] - tie @ whitened)[None] / residual.diagonal[-1]])
+        factor, rows = self.factor.grown(places, noise_share)
+        c = replace(c, whitened=whitened, evidence=c.evidence.grown(z, std, rows, soften))
+        search = self.search
+        if len(search.prior):
+            path_mean, path_std = self.maps.path_gain(search.position, places)
+            path_z = (gain[:, None].astype(np.float32) - path_mean) / path_std
+            search = replace(search, evidence=search.evidence.grown(path_z, path_std, rows, soften))
         return replace(
             self,
-            candidates=candidates,
+            candidates=c,
+            search=search,
             residual=residual,
+            factor=factor,
             cells=np.append(self.cells, cells),
             values=np.append(self.values, gain),
         )
 
     def _refined(self) -> OperatorBelief:
-        """The heaviest squares cut into quarters, whose maps are computed if no belief over this city has asked for them before."""
+        """The heaviest square cut into quarters, whose maps are computed if no belief over this city has asked for them before."""
         s, c = self.settings, self.candidates
-        weight = self.weights()
-        heavy = [
-            i for i in np.argsort(-weight, kind="stable")[: 4 * s.splits] if weight[i] > s.split_weight and c.squares[i].side > 1
-        ]
-        heavy = heavy[: s.splits]
+        if not len(self.search.prior):
+            return self
+        found = posterior_weights(self.search.prior, self.search.evidence.log_likelihood(s.degrees), self._power)
+        heavy = self._heaviest(found)
         if not heavy:
             return self
-        quarters = tuple(q for i in heavy for q in split_square(self.scenario, s.margin_m, c.squares[i]))
+        quarters = [q for i in heavy for q in split_square(self.scenario, s.margin_m, c.squares[i])]
+        for k, quarter in enumerate(quarters):
+            inside = self.search.inside(quarter)
+            if len(inside) > 1:  # where the path model has a choice, the quarter is represented by its favourite
+                row, col = self.search.position[inside[np.argmax(found[inside])], :2].tolist()
+                quarters[k] = replace(quarter, position=(row, col))
         maps = self.maps.indices([q.position for q in quarters])
-        fresh = replace(
-            self, candidates=Candidates(quarters, maps, np.empty((0, len(quarters)), np.float32), np.zeros(len(quarters)))
-        )
-        mean, variance = fresh._candidates_at(self.cells)
+        joining = Candidates(tuple(quarters), maps, c.whitened[:, :0], Evidence.none(len(quarters)))
+        mean, variance = replace(self, candidates=joining)._candidates_at(self.cells)
         std = np.sqrt(variance)
+        z = (self.values[:, None].astype(np.float32) - mean) / std
         L = np.tril(self.residual.W[:, self.cells].T, -1)
         np.fill_diagonal(L, self.residual.diagonal)
-        whitened = solve_triangular(L, (self.values[:, None] - mean) / std, lower=True, check_finite=False)
+        whitened = solve_triangular(L, z, lower=True, check_finite=False).astype(np.float32)
         kept = np.setdiff1d(np.arange(len(c.squares)), heavy)
         return replace(
             self,
             candidates=Candidates(
                 squares=(*(c.squares[i] for i in kept), *quarters),
                 maps=np.append(c.maps[kept], maps),
-                whitened=np.concatenate([c.whitened[:, kept], whitened.astype(np.float32)], axis=1),
-                log_scale=np.append(c.log_scale[kept], np.log(std).sum(axis=0, dtype=np.float64)),
+                whitened=np.concatenate([c.whitened[:, kept], whitened], axis=1),
+                evidence=c.evidence.joined(kept, Evidence.solved(z, std, self.factor, s.soften)),
             ),
         )
+
+    def _heaviest(self, found: NDArray[np.float64]) -> list[int]:
+        """Squares worth cutting, by the larger of the operator's weight and the path model's, heaviest first."""
+        c, s = self.candidates, self.settings
+        weight = self.weights()
+        for i in np.flatnonzero([square.side * self.scenario.grid.spacing_m > s.fine_m for square in c.squares]):
+            weight[i] = max(weight[i], found[self.search.inside(c.squares[i])].sum())
+        weight[[square.side <= 1 for square in c.squares]] = 0.0
+        order = np.argsort(-weight, kind="stable")[: s.splits]
+        return [int(i) for i in order if weight[i] > s.split_weight]

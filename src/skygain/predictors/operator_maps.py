@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["OperatorMaps", "OperatorNetwork"]
+__all__ = ["OperatorMaps", "OperatorNetwork", "frequency_shift_db"]
 
 import contextlib
 from dataclasses import dataclass, field
@@ -24,10 +24,12 @@ TRAINED_HZ = 5.0e9
 class OperatorNetwork:
     """The trained network as a plain function of arrays; PyTorch is loaded with it."""
 
-    def __init__(self, weights: Any = "operator") -> None:
+    def __init__(self, weights: Any = "operator", paths: Any = "path-model") -> None:
         from skygain.learning.operator_net import PropagationOperator
-        from skygain.learning.weights import load_network
+        from skygain.learning.path_model import PathModel
+        from skygain.learning.weights import load_network, weight_file
 
+        self.paths = PathModel.load(weight_file(paths))
         self.network = PropagationOperator()
         self.card = load_network(self.network, weights)
         self.profile = bool(self.card.get("recipe", self.card.get("config", {})).get("task", {}).get("profile", True))
@@ -39,7 +41,7 @@ class OperatorNetwork:
         from skygain.learning.path_features import operator_inputs
 
         heights, spacing = scenario.city.height_m, scenario.grid.spacing_m
-        shift = -20.0 * np.log10(scenario.frequency_hz / TRAINED_HZ)
+        shift = frequency_shift_db(scenario)
         means, stds = [], []
         bf16 = torch.backends.mkldnn.is_available() and _has_bf16()
         context = torch.autocast("cpu", dtype=torch.bfloat16) if bf16 else contextlib.nullcontext()
@@ -50,6 +52,11 @@ class OperatorNetwork:
                 means.append(mean.flatten(1).numpy() + shift)
                 stds.append(torch.exp(0.5 * log_variance).flatten(1).numpy())
         return np.concatenate(means), np.concatenate(stds)
+
+
+def frequency_shift_db(scenario: Scenario) -> float:
+    """Free-space gain at the scenario's carrier minus that at the trained one."""
+    return -20.0 * float(np.log10(scenario.frequency_hz / TRAINED_HZ))
 
 
 def _has_bf16() -> bool:
@@ -92,6 +99,14 @@ class OperatorMaps:
             self._buffers[altitude_m] = means, stds
         means[used : used + count] = mean + OFFSET_DB
         stds[used : used + count] = std
+
+    def path_gain(
+        self, positions: NDArray[np.float64], cells: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The path model's (mean, standard deviation) at ``cells[n, (row, col)]``, flight altitude, each ``[cell, position]``."""
+        s = self.scenario
+        mean, std = self.network.paths.gain(s.city.height_m, s.grid.spacing_m, positions, cells, s.uav_altitude_m)
+        return mean + np.float32(frequency_shift_db(s)), std
 
     def whole(self, indices: NDArray[np.int64], altitude_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(mean, standard deviation) maps, each ``[k, row * col]``."""

@@ -39,13 +39,15 @@ class CorrelationModel:
     nugget: float = 0.15
     """η, the part of the variance that neighbouring cells do not share"""
 
+    def correlation(self, distance_m: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Between two cells ``distance_m`` apart; 1 at distance 0."""
+        near, far = np.exp(-distance_m / self.length_m), np.exp(-distance_m / self.far_length_m)
+        shared = (1 - self.nugget) * ((1 - self.far_share) * near + self.far_share * far)
+        return np.where(distance_m == 0, 1.0, shared)
+
     def table(self, shape: tuple[int, int], spacing_m: float) -> Array:
         """``[|row difference|, |col difference|]`` correlation between two cells."""
-        distance = spacing_m * np.hypot(*np.indices(shape, dtype=float))
-        near, far = np.exp(-distance / self.length_m), np.exp(-distance / self.far_length_m)
-        table = (1 - self.nugget) * ((1 - self.far_share) * near + self.far_share * far)
-        table[0, 0] = 1.0
-        return table.astype(np.float32)
+        return self.correlation(spacing_m * np.hypot(*np.indices(shape, dtype=float))).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
