@@ -9,7 +9,7 @@ made to rise with distance and is held to the trained Kriging model's, φ(1 − 
 
 from __future__ import annotations
 
-__all__ = ["InterpolationBelief", "Interpolator"]
+__all__ = ["InterpolationBelief", "Interpolator", "ReadingsPredictor"]
 
 from abc import abstractmethod
 
@@ -34,16 +34,12 @@ PRIOR_ERRORS = 5.0
 """errors that the trained curve counts for at each distance"""
 
 
-class Interpolator(Predictor):
-    """A predictor whose mean is a function of the readings alone."""
+class ReadingsPredictor(Predictor):
+    """A predictor whose answer is a function of the readings alone, computed when it is asked for."""
 
     @abstractmethod
-    def estimate(self, scenario: Scenario, readings: Readings) -> Array:
-        """``[P]`` gain at every cell from at least one reading; what it says at the measured cells is not used."""
-
-    @abstractmethod
-    def left_out(self, distance_m: Array, xy_m: Array, target_xy_m: Array, gain_db: Array) -> Array:
-        """``[m]`` estimates at m targets; ``distance_m[m, v]`` to the v readings is infinite where a reading may not be used."""
+    def predict(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
+        """Mean and variance ``[P]`` at every cell from at least one reading; measured cells are put right afterwards."""
 
     def begin(self, scenario: Scenario) -> InterpolationBelief:
         return InterpolationBelief(self, scenario, Measurements.none())
@@ -54,7 +50,7 @@ class InterpolationBelief(Belief):
 
     __slots__ = ("_flat", "_posterior", "_predictor", "measurements", "scenario")
 
-    def __init__(self, predictor: Interpolator, scenario: Scenario, measurements: Measurements) -> None:
+    def __init__(self, predictor: ReadingsPredictor, scenario: Scenario, measurements: Measurements) -> None:
         self.scenario = scenario
         self.measurements = measurements
         self._predictor = predictor
@@ -77,50 +73,61 @@ class InterpolationBelief(Belief):
         return self._posterior
 
     def _computed(self) -> Posterior:
-        scenario = self.scenario
+        scenario, data = self.scenario, self.measurements
         shape = scenario.grid.shape
-        trained = trained_parameters("constant", scenario.prediction_altitude_m)
-        if len(self.measurements) == 0:
+        if len(data) == 0:
+            trained = trained_parameters("constant", scenario.prediction_altitude_m)
             variance = trained.sill_db2 + trained.nugget_db2 + trained.trend_covariance[0][0]
             return Posterior(np.full(shape, trained.trend[0]), np.full(shape, variance))
         # Sorted by cell, so that ties between equally near readings do not depend on the order of measuring.
         order = np.argsort(self._flat, kind="stable")
-        data = self.measurements
         readings = combined(self._flat[order], data.gain_db[order], data.noise_std_db[order] ** 2)
-        mean = self._predictor.estimate(scenario, readings)
-        nearest_m, error_db2 = self._errors(readings)
-        distance = scenario.grid.spacing_m * distance_transform_edt(_unmeasured(shape, readings.cells)).ravel()
-        nodes = scenario.grid.spacing_m * 2.0 ** np.arange(np.ceil(np.log2(max(shape))) + 1)
-        expected = trained.sill_db2 * (1 - np.exp(-2 * nodes / trained.range_m)) + trained.nugget_db2
-        curve = _rising_curve(nearest_m, error_db2, nodes, expected)
-        variance = np.interp(distance, np.append(0.0, nodes), np.append(0.0, curve))
+        mean, variance = self._predictor.predict(scenario, readings)
         mean[readings.cells] = readings.gain_db
         variance[readings.cells] = readings.noise_db2
         return Posterior(mean.reshape(shape), variance.reshape(shape))
 
-    def _errors(self, readings: Readings) -> tuple[Array, Array]:
+
+class Interpolator(ReadingsPredictor):
+    """A mean that is a function of the readings, with a variance learned from discs left out."""
+
+    @abstractmethod
+    def estimate(self, scenario: Scenario, readings: Readings) -> Array:
+        """``[P]`` gain at every cell from at least one reading; what it says at the measured cells is not used."""
+
+    @abstractmethod
+    def left_out(self, distance_m: Array, xy_m: Array, target_xy_m: Array, gain_db: Array) -> Array:
+        """``[m]`` estimates at m targets; ``distance_m[m, v]`` to the v readings is infinite where a reading may not be used."""
+
+    def predict(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
+        grid = scenario.grid
+        trained = trained_parameters("constant", scenario.prediction_altitude_m)
+        unmeasured = np.ones(grid.size, dtype=bool)
+        unmeasured[readings.cells] = False
+        distance = grid.spacing_m * distance_transform_edt(unmeasured.reshape(grid.shape)).ravel()
+        nodes = grid.spacing_m * 2.0 ** np.arange(np.ceil(np.log2(max(grid.shape))) + 1)
+        expected = trained.sill_db2 * (1 - np.exp(-2 * nodes / trained.range_m)) + trained.nugget_db2
+        curve = _rising_curve(*self._errors(scenario, readings), nodes, expected)
+        variance = np.interp(distance, np.append(0.0, nodes), np.append(0.0, curve))
+        return self.estimate(scenario, readings), variance
+
+    def _errors(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
         """Distance to the nearest reading used ``[m]`` and squared error ``[m]`` of predictions with discs left out."""
-        grid = self.scenario.grid
+        grid = scenario.grid
         xy = grid.xy_m(grid.cells[readings.cells])
         rank = np.random.default_rng(0).permutation(grid.size)[readings.cells]
         targets = np.argsort(rank)[:TARGETS]
         apart = np.linalg.norm(xy[targets, None] - xy[None], axis=-1)
-        nearest, errors = [], []
+        nearest, errors = [np.empty(0)], [np.empty(0)]
         for radius in DISCS:
             distance = np.where(apart > radius * grid.spacing_m, apart, np.inf)
             near = distance.min(axis=1)
             left = np.isfinite(near)
             if left.any():
-                estimate = self._predictor.left_out(distance[left], xy, xy[targets[left]], readings.gain_db)
+                estimate = self.left_out(distance[left], xy, xy[targets[left]], readings.gain_db)
                 nearest.append(near[left])
                 errors.append((estimate - readings.gain_db[targets[left]]) ** 2)
-        return (np.concatenate(nearest), np.concatenate(errors)) if nearest else (np.empty(0), np.empty(0))
-
-
-def _unmeasured(shape: tuple[int, int], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    mask = np.ones(shape[0] * shape[1], dtype=bool)
-    mask[cells] = False
-    return mask.reshape(shape)
+        return np.concatenate(nearest), np.concatenate(errors)
 
 
 def _rising_curve(nearest_m: Array, error_db2: Array, nodes_m: Array, expected_db2: Array) -> Array:

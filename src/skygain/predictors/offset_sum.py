@@ -1,4 +1,4 @@
-"""Weighted sums over measured cells, at every cell of a map, when the weight depends on the offset between cells alone."""
+"""Weighted sums over cells, at every cell of a map, when the weight depends on the offset between cells alone."""
 
 from __future__ import annotations
 
@@ -15,31 +15,50 @@ AT_A_TIME = 8
 
 
 class OffsetSum:
-    """Sums Σⱼ weightⱼ · table[|row − rowⱼ|, |col − colⱼ|] for all P cells by two FFTs, O(P log P) however many cells j there are.
+    """Sums Σⱼ weightⱼ · table[|row − rowⱼ|, |col − colⱼ|] at every cell by two FFTs, O(P log P) however many cells j there are.
+
+    The cells j lie on a map; the sums are wanted on the map with ``margin`` cells added on every side. ``table`` holds the
+    offsets that occur, so its shape is that of the map plus ``margin``.
 
     >>> near = OffsetSum(np.array([[2.0, 1.0, 0.0]]))
     >>> near(np.array([[1.0, 10.0]]), np.array([0, 1])).round(9) + 0.0
     array([[12., 21., 10.]])
     """
 
-    def __init__(self, table: Array) -> None:
-        self.shape = table.shape
+    def __init__(self, table: Array, margin: int = 0) -> None:
+        self.shape = (table.shape[0] - margin, table.shape[1] - margin)
+        """rows and columns of the map"""
+        self.wide_shape = (table.shape[0] + margin, table.shape[1] + margin)
+        """rows and columns with the margin"""
+        self._margin = margin
         self._fft_shape = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in table.shape)
-        # A circle of at least 2R − 1 offsets holds every difference of two rows without overlap.
+        # A circle of at least 2n − 1 offsets holds −(n − 1) to n − 1 without overlap.
         index = [
             np.minimum(np.arange(n), n - np.arange(n)).clip(max=m - 1) for n, m in zip(self._fft_shape, table.shape, strict=True)
         ]
         self._spectrum = fft.rfft2(table[np.ix_(*index)]).real
 
     def __call__(self, weights: Array, cells: NDArray[np.int64]) -> Array:
-        """``[n, P]`` sums for ``weights[n, v]`` at raveled ``cells[v]``, which may repeat."""
-        rows, cols = self.shape
-        images = np.zeros((len(weights), rows * cols))
+        """``[n, wide cells]`` sums for ``weights[n, v]`` at raveled ``cells[v]`` of the map, which may repeat."""
+        images = np.zeros((len(weights), self.shape[0] * self.shape[1]))
         np.add.at(images.T, cells, weights.T)
-        out = np.empty_like(images)
-        for first in range(0, len(weights), AT_A_TIME):
-            some = images[first : first + AT_A_TIME].reshape(-1, rows, cols)
+        return self._summed(images.reshape(-1, *self.shape), self._margin, 0, self.wide_shape)
+
+    def back(self, weights: Array) -> Array:
+        """``[n, cells]`` the transposed sums: for ``weights[n, wide cells]`` on the map with its margin, at the cells of the map."""
+        return self._summed(weights.reshape(-1, *self.wide_shape), 0, self._margin, self.shape)
+
+    def _summed(self, images: Array, put: int, take: int, shape: tuple[int, int]) -> Array:
+        out = np.empty((len(images), *shape))
+        rows, cols = images.shape[1:]
+        for first in range(0, len(images), AT_A_TIME):
+            some = images[first : first + AT_A_TIME]
+            if put:
+                padded = np.zeros((len(some), put + rows, put + cols))
+                padded[:, put:, put:] = some
+                some = padded
             spectrum = fft.rfft2(some, s=self._fft_shape)
             spectrum *= self._spectrum
-            out[first : first + AT_A_TIME] = fft.irfft2(spectrum, s=self._fft_shape)[:, :rows, :cols].reshape(len(some), -1)
-        return out
+            summed = fft.irfft2(spectrum, s=self._fft_shape)
+            out[first : first + AT_A_TIME] = summed[:, take : take + shape[0], take : take + shape[1]]
+        return out.reshape(len(images), -1)
