@@ -313,18 +313,12 @@ def train_predictor_command(
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Pause after this long; the same command goes on later.")] = None,
 ) -> None:
-    """Train a network by recipe; can be killed at any time and goes on where it stopped. The weights land in the user's cache."""
+    """Train a network by recipe; can be killed at any time and goes on where it stopped. The predictor of that name finds the weights."""
     from skygain.learning import train_predictor
-    from skygain.learning.weights import export_weights, user_weights
 
     def say(record: dict[str, object]) -> None:
         print("  ".join(f"{key} {value}" for key, value in record.items()), file=sys.stderr, flush=True)
 
-    folder = out or user_weights().parent / "runs" / recipe
     limit = {} if minutes is None else {"max_seconds": 60 * minutes}
-    result = train_predictor(recipe, data, folder, report=say, **limit)
-    path = user_weights() / f"{recipe}.safetensors"
-    export_weights(result.checkpoint, path, {"recipe": recipe, "data": data.name, "skygain": skygain.__version__})
-    print(
-        f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores {result.scores}\nweights: {path}"
-    )
+    result = train_predictor(recipe, data, out, report=say, **limit)
+    print(f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores {result.scores}")
