@@ -53,17 +53,17 @@ class Grid:
     @cached_property
     def x_m(self) -> NDArray[np.float64]:
         """x of each column, ``[col]``."""
-        return self.origin_m[0] + self.spacing_m * np.arange(self.shape[1])
+        return self.origin_m[0] + self.spacing_m * np.arange(self.shape[1], dtype=np.float64)
 
     @cached_property
     def y_m(self) -> NDArray[np.float64]:
         """y of each row, ``[row]``."""
-        return self.origin_m[1] + self.spacing_m * np.arange(self.shape[0])
+        return self.origin_m[1] + self.spacing_m * np.arange(self.shape[0], dtype=np.float64)
 
     @cached_property
     def cells(self) -> NDArray[np.int64]:
         """Every cell, ``[row * cols + col, (row, col)]``: the order of a raveled map."""
-        return np.stack(np.indices(self.shape), axis=-1).reshape(-1, 2)
+        return np.argwhere(np.ones(self.shape, dtype=bool))
 
     def xy_m(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Centres of ``cells[..., (row, col)]`` as ``[..., (x, y)]`` in metres."""

@@ -77,8 +77,8 @@ class InterpolationBelief(Belief):
         shape = scenario.grid.shape
         if len(data) == 0:
             trained = trained_parameters("constant", scenario.prediction_altitude_m)
-            variance = trained.sill_db2 + trained.nugget_db2 + trained.trend_covariance[0][0]
-            return Posterior(np.full(shape, trained.trend[0]), np.full(shape, variance))
+            prior = trained.sill_db2 + trained.nugget_db2 + trained.trend_covariance[0][0]
+            return Posterior(np.full(shape, trained.trend[0]), np.full(shape, prior))
         # Sorted by cell, so that ties between equally near readings do not depend on the order of measuring.
         order = np.argsort(self._flat, kind="stable")
         readings = combined(self._flat[order], data.gain_db[order], data.noise_std_db[order] ** 2)
