@@ -14,7 +14,7 @@ from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.predictors import create_predictor
 from skygain.predictors.kriging import KrigingPredictor, blind_kriging
-from skygain.predictors.kriging_fit import fit_to_survey, likelihood_loss
+from skygain.predictors.kriging_fit import likelihood_loss, map_estimate
 from skygain.predictors.kriging_parameters import KrigingParameters, trained_parameters, trend_columns
 from skygain.scenario import Scenario
 from skygain.testing import check_predictor
@@ -229,9 +229,9 @@ def test_the_gradient_of_the_likelihood_is_its_slope(rng):
 
 def test_the_fit_explains_the_data_at_least_as_well_as_the_covariance_that_made_them(rng):
     """With a vague prior and many readings; the truth itself is one of the candidates."""
-    xy, gain, distance = correlated_field(rng, 250, 40.0, 20.0)
+    _, gain, distance = correlated_field(rng, 250, 40.0, 20.0)
     vague = KrigingParameters((-110.0,), ((100.0,),), sill_db2=380.0, range_m=57.0, nugget_db2=5.0, log_spread=(9.0, 9.0, 9.0))
-    fitted = fit_to_survey([(vague, 0.0)], xy, gain, np.zeros(250), np.ones((250, 1)))
+    _, fitted = map_estimate(vague, distance, gain, np.zeros(250), np.ones((250, 1)))
 
     def loss(phi, delta, nu):
         return likelihood_loss(np.log([phi, delta, nu]), distance, gain + 110, np.zeros(250), np.full((250, 250), 100.0))[0]

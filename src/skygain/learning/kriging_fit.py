@@ -27,7 +27,7 @@ from skygain.datasets.crops import random_crop
 from skygain.datasets.link import Link
 from skygain.datasets.store import ChannelDataset
 from skygain.learning.trajectories import random_waypoints, scattered_cells
-from skygain.predictors.kriging_fit import fit_to_survey, likelihood_loss
+from skygain.predictors.kriging_fit import likelihood_loss, map_estimate
 from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, trend_columns
 
 Array = NDArray[np.float64]
@@ -56,7 +56,6 @@ class KrigingTraining:
 class _Sample:
     """What the likelihood sees of one link."""
 
-    xy_m: Array
     gain_db: Array
     columns: Array
     distance_m: Array
@@ -130,7 +129,7 @@ def _trained(samples: list[_Sample], theta: Array, config: KrigingTraining, prog
     common = KrigingParameters(tuple(theta.tolist()), rows, phi, delta, nu, (4.0, 4.0, 4.0))
     own = []
     for s in samples:
-        fit = fit_to_survey([(common, 0.0)], s.xy_m, s.gain_db, np.zeros(len(s.gain_db)), s.columns)
+        _, fit = map_estimate(common, s.distance_m, s.gain_db, np.zeros(len(s.gain_db)), s.columns)
         own.append(np.log([fit.sill_db2, fit.range_m, fit.nugget_db2]))
     spread = np.std(own, axis=0)
     progress(f"  spread of log φ, δ, ν among links: {np.round(spread, 2).tolist()}")
@@ -184,7 +183,7 @@ def train_kriging(
                 columns.append(h[outdoor])
                 gains.append(y[outdoor])
                 xy = grid.xy_m(grid.cells[cells])
-                samples.append(_Sample(xy, y[cells], h[cells], np.linalg.norm(xy[:, None] - xy[None], axis=-1)))
+                samples.append(_Sample(y[cells], h[cells], np.linalg.norm(xy[:, None] - xy[None], axis=-1)))
             theta = _least_squares(columns, gains)
             progress(f"  θ₀ = {np.round(theta, 2).tolist()}")
             table[trend][f"{altitude:g}"] = _trained(samples, theta, config, progress)

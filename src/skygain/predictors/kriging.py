@@ -21,43 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.errors import InputError
-from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.posterior import GaussianProcessPosterior
 from skygain.predictors.base import Belief, Predictor
-from skygain.predictors.kriging_fit import fit_to_survey
+from skygain.predictors.kriging_fit import fit_is_due, fit_to_survey, survey_priors
 from skygain.predictors.kriging_inferred import InferredTrend
-from skygain.predictors.kriging_parameters import (
-    TRENDS,
-    KrigingParameters,
-    generic_parameters,
-    trained_parameters,
-    trend_columns,
-)
+from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, trend_columns
 from skygain.predictors.kriging_state import KrigingState
 from skygain.predictors.kriging_trend import FixedTrend, Trend
 from skygain.predictors.readings import Readings, checked_flat, combined
 from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
-
-FIRST_FIT = 3
-"""observations at which the covariance is fitted for the first time"""
-FIT_GROWTH = 1.5
-"""it is fitted again when there are this many times as many"""
-FIT_ROWS = 300
-"""observations used for one fit; more of them change the estimate little and cost their cube"""
-GENERIC_LOG_ODDS = -2.0
-"""log odds, before any data, that a place is nothing like the cities of the training"""
-FLAT_LOG_ODDS = -3.0
-"""log odds, before any data, that the gain does not follow the trained path-loss line at all; the other way round where the
-transmitter is no street-level one or the receivers do not fly, since nothing of that kind was trained on"""
-SPREAD_OUT = 0.35
-"""how widely the observations must be scattered, in terms of an even spread, before they may choose between priors"""
-TRAINED_TRANSMITTER_M = 5.0
-"""height up to which a transmitter counts as one at street level; the trained ones stand at 1.5 m"""
-TRAINED_RECEIVER_M = 5.0
-"""altitude from which a receiver counts as flying; the trained ones fly at 10 to 30 m"""
 
 
 @dataclass(frozen=True)
@@ -107,15 +82,7 @@ class KrigingPredictor(Predictor):
         """What a survey chooses from, the likeliest first, with the logarithm of the odds."""
         if self.parameters is not None:
             return [(self.parameters, 0.0)]
-        name = "log-distance" if self.trend == "inferred" else self.trend
-        trained, generic = trained_parameters(name, scenario.prediction_altitude_m), generic_parameters(name)
-        if name != "log-distance":
-            return [(trained, 0.0), (generic, GENERIC_LOG_ODDS)]
-        flat = trained_parameters("constant", scenario.prediction_altitude_m)
-        flat = replace(flat, trend=(*flat.trend, 0.0), trend_covariance=((flat.trend_covariance[0][0], 0.0), (0.0, 0.0)))
-        if _like_the_training(scenario):
-            return [(trained, 0.0), (flat, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
-        return [(flat, 0.0), (trained, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
+        return survey_priors("log-distance" if self.trend == "inferred" else self.trend, scenario)
 
 
 def blind_kriging(**options: Any) -> KrigingPredictor:
@@ -131,19 +98,6 @@ def quadratic_kriging(**options: Any) -> KrigingPredictor:
 def inferred_kriging(**options: Any) -> KrigingPredictor:
     """Kriging that does not know the transmitter and finds it on the way."""
     return KrigingPredictor(trend="inferred", **options)
-
-
-def _like_the_training(scenario: Scenario) -> bool:
-    transmitter = scenario.transmitter_m
-    street_level = transmitter is None or transmitter[2] <= TRAINED_TRANSMITTER_M
-    return street_level and scenario.uav_altitude_m >= TRAINED_RECEIVER_M
-
-
-def _spread(xy_m: Array, grid: Grid) -> float:
-    """How widely positions are scattered, 1 when evenly over the whole map."""
-    rows, cols = grid.shape
-    even = rows * cols * grid.spacing_m**2 / 12
-    return float(np.sqrt(max(np.linalg.det(np.cov(xy_m.T)), 0.0)) / even)
 
 
 class KrigingBelief(Belief):
@@ -189,7 +143,7 @@ class KrigingBelief(Belief):
         """The state to extend by ``coming``: rebuilt with parameters fitted to it as well, if the schedule says so."""
         state = self.state
         size = len(state.gain_db) + int((~state.exact[coming.cells]).sum())
-        if not self.predictor.refit or size < max(FIRST_FIT, FIT_GROWTH * state.fitted_at):
+        if not self.predictor.refit or not fit_is_due(size, state.fitted_at):
             return state
         old = combined(state.process.cells, state.gain_db, state.process.noise_db2)
         everything = combined(
@@ -197,19 +151,8 @@ class KrigingBelief(Belief):
             np.concatenate([old.gain_db, coming.gain_db]),
             np.concatenate([old.noise_db2, coming.noise_db2]),
         )
-        grid = self.scenario.grid
-        # Which rows are left out depends on their cells only, so the order of the readings does not matter.
-        rows = np.argsort(np.random.default_rng(0).permutation(grid.size)[everything.cells])[:FIT_ROWS]
-        cells = everything.cells[rows]
-        xy = grid.xy_m(grid.cells[cells])
         priors = self.predictor.priors(self.scenario)
-        parameters = fit_to_survey(
-            priors=priors if _spread(xy, grid) >= SPREAD_OUT else priors[:1],
-            xy_m=xy,
-            gain_db=everything.gain_db[rows],
-            noise_db2=everything.noise_db2[rows],
-            columns=state.trend.columns(cells),
-        )
+        parameters = fit_to_survey(self.scenario.grid, priors, everything, state.trend.columns)
         fresh = KrigingState.unobserved(self.scenario, parameters, state.trend.restarted(parameters))
         return replace(fresh.with_readings(old), fitted_at=size)
 

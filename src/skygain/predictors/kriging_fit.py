@@ -5,15 +5,19 @@ goes smoothly from one to the other:
 
     (φ, δ, ν) = argmax  log N(y | Hθ₀, φE(δ) + νI + N + HΣHᵀ) + log p(φ, δ, ν)
 
-with log-normal priors around the trained φ, δ, ν. The trend's coefficients θ ~ N(θ₀, Σ) are integrated out.
-Several priors may be given, each with its odds; the one whose estimate best explains observations that lie well apart is taken.
+with log-normal priors around the trained φ, δ, ν. The trend's coefficients θ ~ N(θ₀, Σ) are integrated out. A survey fits when it
+has 3, 5, 8, 12, … observations, half as many again each time.
+
+There are several priors, each with its odds: the trained one, one without a path-loss line, and a generic one for a place or a
+quantity unlike all that was trained on. The one is taken whose estimate best explains observations that lie well apart, as soon
+as these are scattered over the map; until then the likeliest. One street does not speak for a map.
 """
 
 from __future__ import annotations
 
-__all__ = ["fit_to_survey", "likelihood_loss"]
+__all__ = ["fit_is_due", "fit_to_survey", "likelihood_loss", "map_estimate", "survey_priors"]
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +25,10 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
-from skygain.predictors.kriging_parameters import KrigingParameters
+from skygain.grid import Grid
+from skygain.predictors.kriging_parameters import KrigingParameters, generic_parameters, trained_parameters
+from skygain.predictors.readings import Readings
+from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -30,7 +37,24 @@ LOCALITY = 0.25
 from the rest of it, and a prior as wide as the maps differ from each other lets the fit take the one for the other. Chosen on
 the validation cities"""
 SEPARATION_M = 40.0
-"""observations that choose between priors are at least this far apart, so that one street does not speak for the whole map"""
+"""distance between the observations that choose between priors"""
+GENERIC_LOG_ODDS = -2.0
+"""log odds, before any data, that a place is nothing like the cities of the training"""
+FLAT_LOG_ODDS = -3.0
+"""log odds, before any data, that the gain does not follow the trained path-loss line at all; the other way round where the
+transmitter is no street-level one or the receivers do not fly, since nothing of that kind was trained on"""
+TRAINED_TRANSMITTER_M = 5.0
+"""height up to which a transmitter counts as one at street level; the trained ones stand at 1.5 m"""
+TRAINED_RECEIVER_M = 5.0
+"""altitude from which a receiver counts as flying; the trained ones fly at 10 to 30 m"""
+SPREAD_OUT = 0.35
+"""how widely the observations must be scattered, in terms of an even spread, before they may choose between priors"""
+FIRST_FIT = 3
+"""observations at which the covariance is fitted for the first time"""
+FIT_GROWTH = 1.5
+"""it is fitted again when there are this many times as many"""
+FIT_ROWS = 300
+"""observations used for one fit; more of them change the estimate little and cost their cube"""
 BOUND = 3.0
 """the fit stays within this many standard deviations of the trained values"""
 
@@ -62,26 +86,60 @@ def likelihood_loss(
     return float(loss), np.array([correlated.sum(), np.vdot(correlated, scaled), nu * np.trace(slope)])
 
 
+def survey_priors(trend: str, scenario: Scenario) -> list[tuple[KrigingParameters, float]]:
+    """What a survey may start from, the likeliest first, with the logarithm of the odds.
+
+    The trained parameters; for the log-distance trend also ones without a path-loss line; and generic ones.
+    """
+    trained, generic = trained_parameters(trend, scenario.prediction_altitude_m), generic_parameters(trend)
+    if trend != "log-distance":
+        return [(trained, 0.0), (generic, GENERIC_LOG_ODDS)]
+    flat = trained_parameters("constant", scenario.prediction_altitude_m)
+    flat = replace(flat, trend=(*flat.trend, 0.0), trend_covariance=((flat.trend_covariance[0][0], 0.0), (0.0, 0.0)))
+    transmitter = scenario.transmitter_m
+    street_level = transmitter is None or transmitter[2] <= TRAINED_TRANSMITTER_M
+    if street_level and scenario.uav_altitude_m >= TRAINED_RECEIVER_M:
+        return [(trained, 0.0), (flat, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
+    return [(flat, 0.0), (trained, FLAT_LOG_ODDS), (generic, GENERIC_LOG_ODDS)]
+
+
+def fit_is_due(size: int, fitted_at: int) -> bool:
+    """Whether ``size`` observations call for a fit when the last one was made with ``fitted_at``."""
+    return size >= max(FIRST_FIT, FIT_GROWTH * fitted_at)
+
+
 def fit_to_survey(
-    priors: Sequence[tuple[KrigingParameters, float]], xy_m: Array, gain_db: Array, noise_db2: Array, columns: Array
+    grid: Grid,
+    priors: Sequence[tuple[KrigingParameters, float]],
+    readings: Readings,
+    columns: Callable[[NDArray[np.int64]], Array],
 ) -> KrigingParameters:
-    """Parameters for the survey that gave ``gain_db[v]`` at ``xy_m[v, (x, y)]``.
+    """Parameters for the survey that gave ``readings``.
 
     Args:
-        priors: what a survey may start from, each with the logarithm of its odds.
-        xy_m: distinct positions in metres.
-        gain_db: values there.
-        noise_db2: ``[v]`` variance of the noise of each.
-        columns: ``[v, k]`` the trend's columns h(q) there.
+        grid: the map.
+        priors: what the survey may start from, the likeliest first, each with the logarithm of its odds.
+        readings: values at distinct cells.
+        columns: gives the trend's columns ``[n, k]`` at raveled ``cells[n]``.
     """
-    distance = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=-1)
+    # Which rows are left out depends on their cells only, so the order of the readings does not matter.
+    rows = np.argsort(np.random.default_rng(0).permutation(grid.size)[readings.cells])[:FIT_ROWS]
+    cells, gain, noise = readings.cells[rows], readings.gain_db[rows], readings.noise_db2[rows]
+    h, xy = columns(cells), grid.xy_m(grid.cells[cells])
+    distance = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
     prior = priors[0][0]
-    if len(priors) > 1:
+    if len(priors) > 1 and _spread(xy, grid) >= SPREAD_OUT:
         far = _apart(distance)
-        distant = distance[np.ix_(far, far)]
-        losses = [_fit(p, distant, gain_db[far], noise_db2[far], columns[far])[0] - odds for p, odds in priors]
+        losses = [map_estimate(p, distance[np.ix_(far, far)], gain[far], noise[far], h[far])[0] - odds for p, odds in priors]
         prior = priors[int(np.argmin(losses))][0]
-    return _fit(prior, distance, gain_db, noise_db2, columns)[1]
+    return map_estimate(prior, distance, gain, noise, h)[1]
+
+
+def _spread(xy_m: Array, grid: Grid) -> float:
+    """How widely positions are scattered, 1 when evenly over the whole map."""
+    rows, cols = grid.shape
+    even = rows * cols * grid.spacing_m**2 / 12
+    return float(np.sqrt(max(np.linalg.det(np.cov(xy_m.T)), 0.0)) / even)
 
 
 def _apart(distance_m: Array) -> list[int]:
@@ -94,10 +152,18 @@ def _apart(distance_m: Array) -> list[int]:
     return taken
 
 
-def _fit(
-    prior: KrigingParameters, distance: Array, gain_db: Array, noise_db2: Array, columns: Array
+def map_estimate(
+    prior: KrigingParameters, distance_m: Array, gain_db: Array, noise_db2: Array, columns: Array
 ) -> tuple[float, KrigingParameters]:
-    """The loss and the estimate under one prior."""
+    """The loss and the estimate under one prior.
+
+    Args:
+        prior: the trained values and their spread.
+        distance_m: ``[v, v]`` between the observations.
+        gain_db: ``[v]`` values.
+        noise_db2: ``[v]`` variance of the noise of each.
+        columns: ``[v, k]`` the trend's columns h(q).
+    """
     residual = gain_db - columns @ np.asarray(prior.trend)
     trend_part = columns @ np.asarray(prior.trend_covariance) @ columns.T
     # A nugget of zero stays zero: its logarithm is one that does not matter.
@@ -105,7 +171,7 @@ def _fit(
     spread = LOCALITY * np.asarray(prior.log_spread)
 
     def loss(z: Array) -> tuple[float, Array]:
-        value, gradient = likelihood_loss(centre + spread * z, distance, residual, noise_db2, trend_part)
+        value, gradient = likelihood_loss(centre + spread * z, distance_m, residual, noise_db2, trend_part)
         return value + 0.5 * float(z @ z), gradient * spread + z
 
     bounds = [(-BOUND, BOUND), (-BOUND, BOUND), (-BOUND, BOUND) if prior.nugget_db2 > 0 else (0.0, 0.0)]
