@@ -7,7 +7,7 @@ a reading at the floor there, with a probability of 0.9 or more: then it is no n
 
 from __future__ import annotations
 
-__all__ = ["KrigingState"]
+__all__ = ["KrigingState", "floor_reading"]
 
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +27,22 @@ EXPECTED_FLOOR = 0.9
 """a reading at the floor is left out where the belief gives it at least this probability"""
 BATCH = 32
 """observations taken in at a time, which bounds the memory of one update"""
+
+
+def floor_reading(mean_db: float, variance_db2: float, floor_db: float, noise_db2: float) -> tuple[float, float] | None:
+    """Value and noise variance of the normal reading that says what "gain plus noise is ``floor_db`` or less" says.
+
+    ``None`` where the belief N(``mean_db``, ``variance_db2``) expects a reading at the floor anyway.
+    """
+    total = variance_db2 + noise_db2
+    if total <= 0:
+        return None
+    above = (floor_db - mean_db) / np.sqrt(total)
+    if ndtr(above) >= EXPECTED_FLOOR:
+        return None
+    hazard = np.exp(-0.5 * above**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(above))
+    shrink = min(hazard * (hazard + above), 1 - 1e-9)  # share of the variance that the cut takes away
+    return float(mean_db - np.sqrt(total) * hazard / shrink), float(total * (1 / shrink - 1) + noise_db2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +114,10 @@ class KrigingState:
         variance = process.kernel.variance_db2 - white @ white + added
         if variance <= KNOWN * process.kernel.variance_db2:
             return self
-        total = variance + noise_db2
-        above = (floor_db - mean) / np.sqrt(total)
-        if ndtr(above) >= EXPECTED_FLOOR:
+        pseudo = floor_reading(mean, float(variance), floor_db, noise_db2)
+        if pseudo is None:
             return self
-        hazard = np.exp(-0.5 * above**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(above))
-        shrink = min(hazard * (hazard + above), 1 - 1e-9)  # share of the variance that the cut takes away
-        # The normal reading that has the same effect has this value and this noise.
-        pseudo_gain = mean - np.sqrt(total) * hazard / shrink
-        pseudo_noise = total * (1 / shrink - 1) + noise_db2
-        return self._with_batch(Readings(np.array([cell]), np.array([pseudo_gain]), np.array([pseudo_noise])))
+        return self._with_batch(Readings(np.array([cell]), np.array([pseudo[0]]), np.array([pseudo[1]])))
 
     def moments(self) -> tuple[Array, Array]:
         """Mean and variance ``[P]`` of the gain at every cell."""
