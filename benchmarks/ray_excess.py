@@ -67,49 +67,66 @@ def wall_excess_db(seeds: int, *, move_roofs: bool) -> list[float]:
     return largest
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cities", type=int, default=6)
-    parser.add_argument("--samples", type=int, default=3_000_000)
-    options = parser.parse_args()
+def count_in_cities(count: int, samples: int) -> dict[str, Any]:
+    """Outdoor cells above limits, for each way of tracing."""
     ways: dict[str, dict[str, Any]] = {
         "reflections and diffraction": {},
         "the same, roofs not moved": {"move_roofs": False},
         "reflections only": {"diffraction": False},
-        "reflections only, ten times the rays": {"diffraction": False, "samples": 10 * options.samples},
+        "reflections only, ten times the rays": {"diffraction": False, "samples": 10 * samples},
     }
     found: dict[str, list[NDArray[np.float64]]] = {way: [] for way in ways}
-    for seed in range(2001, 2001 + options.cities):
+    for seed in range(2001, 2001 + count):
         city = manhattan_city(seed)
         sites = transmitter_sites(city)[::9]
         for way, settings in ways.items():
-            found[way].append(excess_db(city, sites, **{"samples": options.samples, **settings}).ravel())
+            found[way].append(excess_db(city, sites, **{"samples": samples, **settings}).ravel())
             print(seed, way, "largest excess", round(float(found[way][-1].max()), 1), "dB", flush=True)
-    wall = {label: wall_excess_db(8, move_roofs=move) for label, move in (("moved", True), ("not moved", False))}
     rows = []
     for way, parts in found.items():
         values = np.concatenate(parts)
-        outdoor = int(np.isfinite(np.concatenate(found["reflections and diffraction"])).sum())
         above = [int((values > limit).sum()) for limit in (6.0, 10.0, 20.0)]
-        rows.append({"way": way, "cells_reached": outdoor, "above_6_10_20_db": above, "largest_db": float(values.max())})
-    lines = [
-        f"# Gains above free space + 6 dB\n\n{options.samples / 1e6:g} M rays per transmitter, {options.cities} cities.\n",
-        "| what | cells > 6 dB | > 10 dB | > 20 dB | largest |",
-        "|---|---|---|---|---|",
-    ]
-    for r in rows:
-        above = " | ".join(str(n) for n in r["above_6_10_20_db"])
-        lines.append(f"| {r['way']} | {above} | {r['largest_db']:.1f} dB |")
-    lines.append(f"\nOf {rows[0]['cells_reached']} cells that a ray reached.\n")
-    lines += ["A wall with its roof 0.26 m above the cells, 1 M rays, 8 seeds: largest diffracted gain over free space", ""]
-    lines += ["| roof | smallest of the seeds | median | largest |", "|---|---|---|---|"]
-    for label, values in wall.items():
-        lines.append(f"| {label} | {min(values):.1f} dB | {float(np.median(values)):.1f} dB | {max(values):.1f} dB |")
-    lines.append("")
+        reached = int(np.isfinite(values).sum())
+        rows.append({"way": way, "cells_reached": reached, "above_6_10_20_db": above, "largest_db": float(values.max())})
+    return {"cities": count, "samples": samples, "rows": rows}
+
+
+def markdown(found: dict[str, Any]) -> str:
+    """The tables."""
+    lines = ["# Gains above free space + 6 dB", ""]
+    if "in_cities" in found:
+        part = found["in_cities"]
+        lines += [
+            f"{part['cities']} Manhattan cities at 10, 20 and 30 m, {part['samples'] / 1e6:g} M rays per transmitter, before the guard:",
+            "",
+        ]
+        lines += ["| traced | cells > 6 dB | > 10 dB | > 20 dB | largest |", "|---|---|---|---|---|"]
+        for r in part["rows"]:
+            lines.append(f"| {r['way']} | {' | '.join(map(str, r['above_6_10_20_db']))} | {r['largest_db']:.1f} dB |")
+        lines += ["", f"Of {part['rows'][0]['cells_reached']} outdoor cells that a ray reached.", ""]
+    if "wall_db" in found:
+        lines += ["A wall with its roof 0.26 m above the cells, 1 M rays, 8 seeds; largest diffracted gain over free space:", ""]
+        lines += ["| roof | smallest of the seeds | median | largest |", "|---|---|---|---|"]
+        for label, values in found["wall_db"].items():
+            lines.append(f"| {label} | {min(values):.1f} dB | {float(np.median(values)):.1f} dB | {max(values):.1f} dB |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cities", type=int, default=3, help="0 keeps the counts of an earlier run and traces only the wall")
+    parser.add_argument("--samples", type=int, default=3_000_000)
+    options = parser.parse_args()
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "ray_excess.json").write_text(json.dumps({"cities": rows, "wall_db": wall}, indent=1) + "\n", encoding="utf-8")
-    (RESULTS / "ray_excess.md").write_text("\n".join(lines), encoding="utf-8")
-    print("\n".join(lines))
+    stored = RESULTS / "ray_excess.json"
+    found: dict[str, Any] = json.loads(stored.read_text(encoding="utf-8")) if stored.exists() else {}
+    if options.cities:
+        found["in_cities"] = count_in_cities(options.cities, options.samples)
+    found["wall_db"] = {label: wall_excess_db(8, move_roofs=move) for label, move in (("moved", True), ("not moved", False))}
+    stored.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (RESULTS / "ray_excess.md").write_text(markdown(found), encoding="utf-8")
+    print(markdown(found))
 
 
 if __name__ == "__main__":

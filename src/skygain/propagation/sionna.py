@@ -20,8 +20,9 @@ Transmitters. Several can share a solver call. They then share its diffraction s
 the transmitters sees, so each gets fewer useful samples and a noisier map. On a processor a shared call is no faster than a loop,
 so one transmitter per call is the default; on a graphics card sharing saves overhead. docs/propagation.md has the measurements.
 
-Too much gain. Some cells come out above free space by more than physics allows; `GUARD_DB` bounds them, and the number touched is
-reported. docs/propagation.md tells why they exist.
+Too much gain. Left alone, the solver puts single cells up to 50 dB above free space where a roof edge nearly lies in the plane of the
+cells; such roofs are moved away a little before tracing (`_clearance_m`). What too few rays or a street canyon still lift above
+free space + `GUARD_DB` is cut to it, and the number of cells touched is reported. docs/propagation.md tells the whole story.
 
 Reproducibility. Rays add up their power with atomic operations, so with several threads the last bits of a sum, and which of two
 edges wins a slot of the solver's edge table, depend on the order in which threads arrive: runs with one seed then differ by up to
