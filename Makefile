@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 .PHONY: demo test lint types docs check clean
 
 demo: .venv/demo.stamp
-	$(BIN)/skygain survey --city sample:3 --predictor kriging --planner greedy-variance --steps 200 --out surveys/demo --overwrite
+	$(BIN)/skygain survey --city sample:9 --predictor kriging --planner sequential-greedy --steps 200 --out surveys/demo --overwrite
 	@echo "Open surveys/demo/report.html in a browser."
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then $(BIN)/python -m webbrowser -t "file://$(CURDIR)/surveys/demo/report.html"; fi
 
