@@ -55,6 +55,18 @@ def widened(intercept_db: float, slope_db: float) -> Predictor:
     return create_predictor("kriging", parameters=replace(trained, trend_covariance=tuple(map(tuple, covariance.tolist()))))
 
 
+class ToldStreetLevel(Predictor):
+    """Kriging that is told, wrongly, what its training assumed: a transmitter at 1.5 m and receivers that fly at 10 m."""
+
+    transmitter = "required"
+
+    def begin(self, scenario: Scenario) -> Belief:
+        assert scenario.transmitter_m is not None
+        position = (*scenario.transmitter_m[:2], 1.5)
+        told = replace(scenario, transmitter_m=position, uav_altitude_m=10.0, prediction_altitude_m=10.0)
+        return create_predictor("kriging").begin(told)
+
+
 class ScikitLearnKriging(Predictor):
     """The same model by other hands: scikit-learn's Gaussian process, exponential covariance, maximum likelihood without a prior."""
 
@@ -90,6 +102,7 @@ METHODS: dict[str, Callable[[], Predictor]] = {
     "scikit-learn": ScikitLearnKriging,
     "kriging-blind": lambda: create_predictor("kriging-blind"),
     "kriging": lambda: create_predictor("kriging"),
+    "kriging+street": ToldStreetLevel,
     "kriging+intercept": lambda: widened(100.0, 0.0),
     "kriging+line": lambda: widened(100.0, 30.0),
 }
