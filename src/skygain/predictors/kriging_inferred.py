@@ -36,7 +36,7 @@ MARGIN_M = 108.0
 """how far outside the map the transmitter may stand"""
 HEIGHT_M = 1.5
 """height at which it is taken to stand"""
-NODES = 32
+NODES = 24
 """candidates that stand for the mixture in its variance"""
 TEMPERATURE = 1.0
 """the log-likelihood is divided by this"""

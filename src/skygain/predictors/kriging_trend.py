@@ -11,6 +11,7 @@ __all__ = ["FixedTrend", "Trend"]
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +112,7 @@ class FixedTrend(Trend):
             leftover=self.leftover - columns.T @ new.maps,
         )
 
+    @cached_property
     def coefficients(self) -> tuple[Array, Array]:
         """Mean ``[k]`` and covariance ``[k, k]`` of θ given the data."""
         k = len(self.prior_mean)
@@ -119,19 +121,19 @@ class FixedTrend(Trend):
         return self.prior_mean + covariance @ self.score, covariance
 
     def mean(self, process: GaussianProcess) -> Array:
-        theta, _ = self.coefficients()
+        theta, _ = self.coefficients
         return self.predicted_columns @ self.prior_mean + self.shadowing + (theta - self.prior_mean) @ self.leftover
 
     def variance(self, process: GaussianProcess) -> Array:
-        _, covariance = self.coefficients()
+        _, covariance = self.coefficients
         return np.einsum("kp,kp->p", self.leftover, covariance @ self.leftover)
 
     def covariance(self, process: GaussianProcess, first: Flat, second: Flat) -> Array:
-        _, covariance = self.coefficients()
+        _, covariance = self.coefficients
         return self.leftover[:, first].T @ covariance @ self.leftover[:, second]
 
     def at(self, process: GaussianProcess, gain_db: Array, cell: int, whitened: Array) -> tuple[float, float]:
-        theta, covariance = self.coefficients()
+        theta, covariance = self.coefficients
         weights = process.factor.transposed_times(whitened[:, None])[:, 0]
         leftover = self.flown_columns[cell] - weights @ self.flown_columns[process.cells]
         return float(leftover @ theta + weights @ gain_db), float(leftover @ covariance @ leftover)
