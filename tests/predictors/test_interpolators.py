@@ -1,15 +1,16 @@
-"""IDW and kNN: exact where measured, equal to their definitions elsewhere, and honest about their error."""
+"""IDW, kNN, GIDS and thin plate splines: exact where measured, equal to their definitions elsewhere, and honest about their error."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import RBFInterpolator
 
 from skygain.city import City
 from skygain.errors import InputError
 from skygain.grid import Grid
 from skygain.measurements import Measurements
-from skygain.predictors import create_predictor
+from skygain.predictors import create_predictor, thin_plate
 from skygain.predictors.kriging_parameters import KrigingParameters
 from skygain.scenario import Scenario
 from skygain.testing import check_predictor
@@ -26,7 +27,7 @@ def distances(data):
     return np.linalg.norm(GRID.cells[:, None] - data.cell[None], axis=-1)
 
 
-@pytest.mark.parametrize("name", ["idw", "knn"])
+@pytest.mark.parametrize("name", ["idw", "knn", "gids", "thin-plate"])
 def test_keeps_the_promises_of_a_predictor(name):
     check_predictor(create_predictor(name))
 
@@ -53,7 +54,7 @@ def test_knn_is_the_mean_of_the_nearest(k, rng):
     np.testing.assert_allclose(mean[clear], data.gain_db[order[:, : min(k, 40)]].mean(axis=1)[clear])
 
 
-@pytest.mark.parametrize("name", ["idw", "knn"])
+@pytest.mark.parametrize("name", ["idw", "knn", "gids", "thin-plate"])
 def test_the_variance_is_about_the_squared_error(name):
     """On fields of a known covariance the mean squared error over variance is near 1."""
     rng = np.random.default_rng(5)
@@ -72,6 +73,51 @@ def test_the_variance_is_about_the_squared_error(name):
         error = posterior.mean_db.ravel()[free] - field[free]
         ratios.append(np.mean(error**2 / posterior.variance_db2.ravel()[free]))
     assert 0.6 < np.mean(ratios) < 1.6
+
+
+def test_gids_is_the_sum_of_its_definition(rng):
+    data = readings(rng, 40)
+    mean = create_predictor("gids").begin(SCENARIO).updated(data).posterior().mean_db.ravel()
+    xy, here = GRID.xy_m(GRID.cells), GRID.xy_m(data.cell)
+    slope = np.linalg.lstsq(np.column_stack([np.ones(40), here]), data.gain_db, rcond=None)[0][1:]
+    distance = distances(data)
+    free = distance.min(axis=1) > 0
+    weight = distance[free] ** -2.0
+    moved = data.gain_db + (xy[free, None] - here[None]) @ slope
+    np.testing.assert_allclose(mean[free], (weight * moved).sum(axis=1) / weight.sum(axis=1), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["gids", "thin-plate"])
+def test_a_plane_is_reproduced(name, rng):
+    cells = rng.permutation(GRID.cells)[:25]
+    x, y = GRID.xy_m(GRID.cells).T
+    plane = -100 + 0.1 * x - 0.2 * y
+    posterior = create_predictor(name).begin(SCENARIO).updated(Measurements.at(cells, plane[GRID.flat(cells)])).posterior()
+    np.testing.assert_allclose(posterior.mean_db.ravel(), plane, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["gids", "thin-plate"])
+def test_readings_on_a_line_give_finite_answers(name):
+    cells = [[4, c] for c in range(10)]
+    posterior = create_predictor(name).begin(SCENARIO).updated(Measurements.at(cells, np.linspace(-90, -110, 10))).posterior()
+    assert np.isfinite(posterior.mean_db).all()
+    assert np.abs(posterior.mean_db + 100).max() < 60
+
+
+def test_thin_plate_equals_scipy(rng):
+    data = readings(rng, 40)
+    xy, here = GRID.xy_m(GRID.cells), GRID.xy_m(data.cell)
+    mean = create_predictor("thin-plate").begin(SCENARIO).updated(data).posterior().mean_db.ravel()
+    free = distances(data).min(axis=1) > 0
+    # Our roughness is found by likelihood; SciPy is given the same one.
+    centred = here - here.mean(axis=0)
+    extent = np.linalg.svd(centred, compute_uv=False)[0] / np.sqrt(40)
+    unit = centred / extent
+    roughness, _ = thin_plate._roughness_and_scale(
+        thin_plate._kernel(unit, unit), thin_plate._plane(unit), data.gain_db - data.gain_db.mean()
+    )
+    peer = RBFInterpolator(unit, data.gain_db, kernel="thin_plate_spline", degree=1, smoothing=roughness)
+    np.testing.assert_allclose(mean[free], peer((xy - here.mean(axis=0)) / extent)[free], atol=1e-6)
 
 
 def test_a_noisy_reading_keeps_its_noise_as_variance():

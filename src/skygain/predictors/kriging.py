@@ -26,7 +26,7 @@ from skygain.posterior import GaussianProcessPosterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.kriging_fit import fit_is_due, fit_to_survey, survey_priors
 from skygain.predictors.kriging_inferred import InferredTrend
-from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, trend_columns
+from skygain.predictors.kriging_parameters import TRENDS, KrigingParameters, trained_parameters, trend_columns
 from skygain.predictors.kriging_state import KrigingState
 from skygain.predictors.kriging_trend import FixedTrend, Trend
 from skygain.predictors.readings import Readings, checked_flat, combined
@@ -82,7 +82,9 @@ class KrigingPredictor(Predictor):
         """What a survey chooses from, the likeliest first, with the logarithm of the odds."""
         if self.parameters is not None:
             return [(self.parameters, 0.0)]
-        return survey_priors("log-distance" if self.trend == "inferred" else self.trend, scenario)
+        if self.trend == "inferred":  # without a path-loss line there would be no transmitter to find
+            return [(trained_parameters("log-distance", scenario.prediction_altitude_m), 0.0)]
+        return survey_priors(self.trend, scenario)
 
 
 def blind_kriging(**options: Any) -> KrigingPredictor:
@@ -152,7 +154,9 @@ class KrigingBelief(Belief):
             np.concatenate([old.noise_db2, coming.noise_db2]),
         )
         priors = self.predictor.priors(self.scenario)
-        parameters = fit_to_survey(self.scenario.grid, priors, everything, state.trend.columns)
+        # Where the transmitter may be is part of the columns, and the coming readings have a say in it.
+        trend = state.with_readings(coming).trend if self.predictor.trend == "inferred" else state.trend
+        parameters = fit_to_survey(self.scenario.grid, priors, everything, trend.columns)
         fresh = KrigingState.unobserved(self.scenario, parameters, state.trend.restarted(parameters))
         return replace(fresh.with_readings(old), fitted_at=size)
 

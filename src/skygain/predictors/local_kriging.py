@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 
 TREND_ROWS = 1000
 """measurements that the trend is learned from; more of them change a handful of coefficients little and cost their cube"""
+UNTIED = 1e-3
+"""cells by which positions are moved at most to tell equally near ones apart"""
 CHUNK = 16384
 """cells a thread handles at a time"""
 
@@ -161,6 +163,15 @@ def _unobserved(setting: _Setting, parameters: KrigingParameters) -> _State:
     )
 
 
+def _untied(positions: NDArray[np.int64], cells: Flat) -> Array:
+    """Positions in cells, each moved by less than `UNTIED` by a hash of its cell.
+
+    On a grid many readings are equally near; which of them count as neighbours must not depend on the order of measuring.
+    """
+    hashed = (cells[:, None] * np.array([2654435761, 2246822519]) % 2**32) / 2**32
+    return positions + UNTIED / 2 * hashed
+
+
 def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
     """``state`` with ``cells`` predicted from its readings."""
     from skygain.predictors.local_kernels import neighbour_weights  # Numba loads when it is needed
@@ -168,12 +179,8 @@ def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
     predictor, grid, data = setting.predictor, setting.scenario.grid, state.readings
     kernel, cross = state.kernels
     columns = setting.flown_columns[data.cells]
-    # Sorted by cell, so that ties between equally near readings do not depend on the order of measuring.
-    order = np.argsort(data.cells, kind="stable")
-    tree = cKDTree(grid.cells[data.cells[order]])
+    tree = cKDTree(_untied(grid.cells[data.cells], data.cells))
     k = predictor.neighbours
-    # One past the last reading marks a neighbour that is missing.
-    order = np.append(order, len(order))
     weighted, leftover = state.weighted.copy(), state.leftover.copy()
     variance, reach = state.variance.copy(), state.reach.copy()
 
@@ -182,7 +189,7 @@ def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
         distance, nearest = tree.query(grid.cells[some], k=np.arange(1, k + 1))
         y, h, var = neighbour_weights(
             some,
-            order[nearest],
+            nearest,
             data.cells,
             data.noise_db2,
             data.gain_db,
@@ -279,7 +286,7 @@ class LocalKrigingBelief(Belief):
             return _predicted(setting, _with_trend(setting, fresh), np.arange(self.scenario.grid.size))
         state = _with_trend(setting, replace(state, readings=merged))
         distance, _ = cKDTree(self.scenario.grid.cells[coming.cells]).query(self.scenario.grid.cells)
-        return _predicted(setting, state, np.flatnonzero(distance <= state.reach))
+        return _predicted(setting, state, np.flatnonzero(distance <= state.reach + UNTIED))
 
     def posterior(self) -> Posterior:
         if self._posterior is None:
