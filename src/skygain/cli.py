@@ -205,6 +205,7 @@ def evaluate(
     altitude: Annotated[float, typer.Option(help="Altitude of flight and prediction, metres.")] = 10.0,
     noise_db: Annotated[float, typer.Option(help="Standard deviation of Gaussian measurement noise.")] = 0.0,
     max_surveys: Annotated[int | None, typer.Option(help="At most this many surveys, spread over the cities.")] = None,
+    crop: Annotated[int, typer.Option(help="Side in cells of the random window to survey; 0 for whole maps.")] = 96,
     record_every: Annotated[int, typer.Option(help="Score every this many steps.")] = 25,
     min_distance: Annotated[float, typer.Option(help="Least distance between two UAVs, metres.")] = 0.0,
     allow_sharing: Annotated[bool, typer.Option(help="Let UAVs share cells (separation is on otherwise).")] = False,
@@ -230,6 +231,7 @@ def evaluate(
         altitude_m=altitude,
         noise_db=noise_db,
         max_surveys=max_surveys,
+        crop=crop,
         record_every=record_every,
         rules=FlightRules(separate=not allow_sharing, min_distance_m=min_distance),
         seed=seed,
@@ -263,7 +265,7 @@ def methods() -> None:
 
 @dataset_app.command("build")
 def dataset_build(
-    preset: Annotated[str, typer.Option(help="paper (300 cities), small, tiny, or sample (what the package ships).")],
+    preset: Annotated[str, typer.Option(help="paper (300 cities), small, tiny, sample (what the package ships), or large.")],
     out: Annotated[Path, typer.Option(help="The data set to write, PATH.zarr.zip.")],
     workers: Annotated[int, typer.Option(help="Cities traced at the same time.")] = 1,
     resume: Annotated[bool, typer.Option(help="Go on from the cities already traced; --no-resume starts again.")] = True,

@@ -227,3 +227,16 @@ def test_the_summary_counts_what_is_there(built: Path) -> None:
         assert value == pytest.approx(np.percentile(gains, float(name.rstrip("%"))), abs=0.2)
     json.dumps(info)
     assert "T4          2" in describe_dataset(built)
+
+
+def test_large_maps_are_built_and_surveyed_whole(tmp_path: Path) -> None:
+    """The preset for many UAVs: more than 250 cells a side, streets and buildings as in the small cities, a gain everywhere outdoors."""
+    large = replace(preset_config("large"), cities=(0, 1, 0, 0))
+    dataset = ChannelDataset.open(build_dataset(large, tmp_path / "large.zarr.zip"))
+    assert min(dataset.grid.shape) >= 250
+    assert dataset.attributes["build"]["city"]["blocks"] == 10
+    case = survey_cases(dataset, "T2", n_uavs=50, crop_shape=dataset.grid.shape)[0]
+    assert case.truth_db.shape == dataset.grid.shape
+    assert len(set(case.starts)) == 50
+    assert np.isfinite(case.truth_db[case.scenario().outdoor]).all()
+    assert 0.2 < 1 - case.scenario().outdoor.mean() < 0.5

@@ -95,3 +95,16 @@ def test_impossible_configurations_are_refused(change: dict) -> None:
 def test_the_transmitter_is_told_only_on_request() -> None:
     assert parse_spec("a:x=1:y=two") == ("a", {"x": 1, "y": "two"})
     assert MethodSpec("knn+tx", "lawnmower").build_predictor() is MethodSpec("knn", "lawnmower").build_predictor()
+
+
+def test_whole_maps_and_other_windows(tmp_path: Path) -> None:
+    """The size of the surveyed window is part of what is compared."""
+    small = compare(replace(CONFIG, crop=60, steps=5), tmp_path / "small", workers=1)
+    whole = compare(replace(CONFIG, crop=0, steps=5), tmp_path / "whole", workers=1)
+    assert "windows of 60 × 60 cells" in comparison_markdown(small)
+    assert "whole maps" in comparison_markdown(whole)
+    assert small.config.fingerprint != whole.config.fingerprint
+    label = whole.config.methods[0].label
+    assert small.scores[label]["rmse_db"][0, -1] != whole.scores[label]["rmse_db"][0, -1]
+    with pytest.raises(InputError, match="0 for whole maps"):
+        replace(CONFIG, crop=-1)

@@ -9,6 +9,7 @@ from skygain.city import City
 from skygain.errors import InputError
 from skygain.grid import Grid
 from skygain.measurements import Measurements
+from skygain.planners.covariance import planning_field
 from skygain.predictors import create_predictor
 from skygain.scenario import Scenario
 from skygain.testing import check_predictor
@@ -87,3 +88,16 @@ def test_keeps_the_promises_of_a_predictor(neighbours):
 def test_no_neighbours_are_refused():
     with pytest.raises(InputError, match="neighbour"):
         create_predictor("local-kriging", neighbours=0)
+
+
+def test_planners_get_its_covariance(rng):
+    """Few readings: what a planner computes from the prior and the readings is the belief's own variance."""
+    setting = scenario((21, 17), transmitter_m=(20.0, -30.0, 1.5))
+    cells = rng.permutation(setting.grid.cells)[:20]
+    belief = create_predictor("local-kriging", refit=False).begin(setting)
+    belief = belief.updated(Measurements.at(cells, np.linspace(-120, -100, 20)))
+    everywhere = setting.grid.cells
+    planned = np.diag(planning_field(belief).conditioned().covariance(everywhere, everywhere)).reshape(setting.grid.shape)
+    variance = belief.posterior().variance_db2
+    assert (planned <= variance + 1e-2).all()  # the planner takes the trend for known
+    assert np.corrcoef(planned.ravel(), variance.ravel())[0, 1] > 0.99

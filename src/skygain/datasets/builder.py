@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
+from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.city import City
 from skygain.datasets.layout import CityRecord
 from skygain.datasets.presets import BuildConfig, preset_config
@@ -137,7 +137,7 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
 
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
     """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a worker."""
-    city = manhattan_city(seed)
+    city = manhattan_city(seed, config.city)
     sites = transmitter_sites(city)
     if config.max_sites is not None:
         # the first of a shuffled list, so that fewer sites are a part of more sites
@@ -230,7 +230,7 @@ def _settings(config: BuildConfig) -> dict[str, Any]:
             releases[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return json.loads(json.dumps({**asdict(config), "city": asdict(ManhattanConfig()), "releases": releases}))
+    return json.loads(json.dumps({**asdict(config), "releases": releases}))
 
 
 def _source_digest() -> str:
@@ -253,7 +253,7 @@ def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, A
     """The data set's own account of where its numbers come from."""
     return {
         "title": f"Manhattan cities, {config.name}",
-        "extent_m": ManhattanConfig().extent_m,
+        "extent_m": config.city.extent_m,
         "gain": "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean nothing",
         "tool": f"Skygain {skygain.__version__}, propagation model {config.propagation}; the coordinate city is the city's seed",
         "build": dict(settings),

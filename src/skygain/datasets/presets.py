@@ -8,8 +8,9 @@ from __future__ import annotations
 
 __all__ = ["PRESETS", "BuildConfig", "preset_config"]
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from skygain.cities.manhattan import ManhattanConfig
 from skygain.datasets.layout import SPLITS
 from skygain.errors import InputError
 
@@ -40,6 +41,8 @@ class BuildConfig:
     """name of the propagation model"""
     seed: int = 0
     """for the choice of transmitters and the rays; the cities have seeds of their own"""
+    city: ManhattanConfig = field(default_factory=ManhattanConfig)
+    """how the cities are drawn"""
 
     def __post_init__(self) -> None:
         demands = {
@@ -74,10 +77,19 @@ PRESETS = {
         BuildConfig(name="small", cities=(12, 4, 8, 6), max_sites=6),
         BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000),
         BuildConfig(name="sample", cities=(1, 1, 1, 1), max_sites=3),
+        BuildConfig(
+            name="large",
+            cities=(0, 6, 0, 6),
+            max_sites=1,
+            altitudes_m=(10.0,),
+            propagation="gudmundson",
+            city=ManhattanConfig(extent_m=1024.0, blocks=10),
+        ),
     )
 }
 """``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works;
-``sample`` is what ships inside the package"""
+``sample`` is what ships inside the package; ``large`` has maps of 256 × 256 cells for swarms of many UAVs, Gudmundson fields over
+cities of 10 × 10 blocks, and is built in seconds"""
 
 
 def preset_config(name: str) -> BuildConfig:

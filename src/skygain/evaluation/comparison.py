@@ -59,6 +59,8 @@ class ComparisonConfig:
     """altitude of flight and prediction"""
     max_surveys: int | None = None
     """at most this many surveys, spread evenly over the cities; ``None`` flies one per transmitter of the split"""
+    crop: int = 96
+    """side in cells of the random window that is surveyed; 0 takes whole maps"""
     record_every: int = 25
     """score every this many steps, and at the end"""
     noise_db: float = 0.0
@@ -73,6 +75,8 @@ class ComparisonConfig:
             raise InputError("a comparison needs at least one predictor and one planner; give names separated by commas")
         if self.steps < 1 or self.record_every < 1:
             raise InputError(f"steps and record_every must be 1 or more, got {self.steps} and {self.record_every}")
+        if self.crop < 0:
+            raise InputError(f"crop must be a number of cells, or 0 for whole maps, got {self.crop}")
         if self.max_surveys is not None and self.max_surveys < 1:
             raise InputError(f"max_surveys must be 1 or more, got {self.max_surveys}; leave it out to fly every survey")
         if not (self.noise_db >= 0 and np.isfinite(self.noise_db)):
@@ -112,18 +116,23 @@ class Comparison:
 
 
 @lru_cache(maxsize=2)
-def _cases(data: str, split: str, uavs: int, start: str, altitude_m: float, max_surveys: int | None, seed: int) -> list[Case]:
+def _cases(
+    data: str, split: str, uavs: int, start: str, altitude_m: float, max_surveys: int | None, seed: int, crop: int
+) -> list[Case]:
     from skygain.datasets.cases import survey_cases
     from skygain.datasets.sample import open_sample
     from skygain.datasets.store import ChannelDataset
 
     dataset = open_sample() if data == "sample" else ChannelDataset.open(Path(data))
-    return survey_cases(dataset, split, n_uavs=uavs, start=start, altitude_m=altitude_m, max_surveys=max_surveys, seed=seed)
+    shape = (crop, crop) if crop else dataset.grid.shape
+    return survey_cases(
+        dataset, split, n_uavs=uavs, start=start, altitude_m=altitude_m, max_surveys=max_surveys, seed=seed, crop_shape=shape
+    )
 
 
 def _config_cases(config: ComparisonConfig) -> list[Case]:
     return _cases(
-        config.data, config.split, config.uavs, config.start, config.altitude_m, config.max_surveys, config.seed
+        config.data, config.split, config.uavs, config.start, config.altitude_m, config.max_surveys, config.seed, config.crop
     )  # fmt: skip
 
 

@@ -35,6 +35,13 @@ def _final(comparison: Comparison, label: str, score: str) -> Interval:
     return bootstrap_mean(comparison.scores[label][score][:, -1], comparison.cities)
 
 
+def _final_text(comparison: Comparison, label: str, score: str) -> str:
+    """Mean of a score at the end, or a dash where no survey has cells to take it over."""
+    values = comparison.scores[label].get(score)
+    known = values is not None and np.isfinite(values[:, -1]).any()
+    return f"{_final(comparison, label, score).mean:.2f}" if known else "–"
+
+
 def _paired(comparison: Comparison, label: str, reference: str, k: int, score: str = "rmse_db") -> Interval:
     """Difference of a score, ``label`` minus ``reference``, survey by survey."""
     difference = comparison.scores[label][score][:, k] - comparison.scores[reference][score][:, k]
@@ -68,8 +75,9 @@ def comparison_markdown(comparison: Comparison) -> str:
     config, labels, steps = comparison.config, list(comparison.scores), comparison.steps
     shown = _milestones(steps)
     n, n_cities = len(comparison.cities), len(np.unique(comparison.cities))
+    window = f"windows of {config.crop} × {config.crop} cells" if config.crop else "whole maps"
     lines = [
-        f"{n} surveys in {n_cities} cities of {config.split}, {config.uavs} UAVs, start {config.start}, {config.steps} steps, "
+        f"{n} surveys in {n_cities} cities of {config.split}, {window}, {config.uavs} UAVs, start {config.start}, {config.steps} steps, "
         f"altitude {config.altitude_m:g} m, noise {config.noise_db:g} dB, seed {config.seed}. "
         "RMSE in dB over unvisited outdoor cells; brackets: 95 % bootstrap interval over cities.",
         "",
@@ -78,10 +86,7 @@ def comparison_markdown(comparison: Comparison) -> str:
     ]
     for label in labels:
         cells = [str(bootstrap_mean(comparison.scores[label]["rmse_db"][:, k], comparison.cities)) for k in shown]
-        extra = [
-            f"{_final(comparison, label, name).mean:.2f}" if name in comparison.scores[label] else "–"
-            for name in ("rmse_all_db", "rmse_ray_traced_db", "rmse_rest_db")
-        ]
+        extra = [_final_text(comparison, label, name) for name in ("rmse_all_db", "rmse_ray_traced_db", "rmse_rest_db")]
         lines.append(f"| {label} | " + " | ".join(cells + extra) + " |")
     lines += [
         "",

@@ -6,7 +6,8 @@ of the measurements. Up to ``neighbours`` measurements the belief is exactly tha
 
 An update predicts again only the cells whose neighbourhood has changed. Cells are handled in chunks by as many threads as there
 are processors; memory is a few numbers per cell and measurement, whatever their numbers. Readings at the receiver's floor enter
-as in Kriging, each on its own. The posterior has no covariance between cells.
+as in Kriging, each on its own. The posterior has no covariance between cells; planners condition the kernel on the readings nearest
+to where they plan.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
@@ -244,6 +245,11 @@ class LocalKrigingBelief(Belief):
     def parameters(self) -> KrigingParameters:
         """Trend and covariance in use, as of the last fit."""
         return self._state.parameters
+
+    def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
+        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading: φ exp(−d/δ) + ν·1[d = 0]."""
+        distance, kernel = np.asarray(distance_m, dtype=float), self.parameters
+        return kernel.sill_db2 * np.exp(-distance / kernel.range_m) + kernel.nugget_db2 * (distance == 0)
 
     def updated(self, measurements: Measurements) -> LocalKrigingBelief:
         """The belief after ``measurements`` as well.
