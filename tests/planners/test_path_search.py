@@ -26,7 +26,7 @@ def open_reach(rng, side, objective, n_targets=12):
 def alone(side, start, steps):
     air = Airspace(np.ones((side, side), dtype=bool), np.zeros((0, 0, 0), dtype=np.int32), True, 0.0)
     paths = np.repeat(np.array(start)[None, None], steps + 1, axis=1)
-    return Traffic(paths, np.zeros(1, dtype=np.int64), np.array([steps])), air
+    return Traffic.around(0, paths, np.zeros(1, dtype=np.int64), np.array([steps]), air.min_cells), air
 
 
 def objective_of(path, gram, side, objective):
@@ -71,3 +71,25 @@ def test_a_cell_measured_twice_counts_once(rng):
     reach, _ = open_reach(rng, 5, ENTROPY)
     there_and_back = np.array([[2, 2], [2, 3], [2, 2], [2, 3]])
     assert path_value(there_and_back, reach) == pytest.approx(path_value(there_and_back[:3], reach))
+
+
+@pytest.mark.parametrize("min_cells", [0.0, 3.0])
+def test_traffic_leaves_out_only_uavs_that_cannot_come_near(rng, min_cells):
+    """Looking out for every other UAV gives the same path."""
+    side, steps, n = 25, 5, 12
+    reach, _ = open_reach(rng, side, ENTROPY)
+    _, air = alone(side, (12, 12), steps)
+    air = air._replace(min_cells=min_cells)
+    left_out = 0
+    for _ in range(20):
+        paths = np.repeat(rng.integers(steps, side - steps, (n, 1, 2)), steps + 1, axis=1)
+        paths[1:, 1:] += np.cumsum(np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])[rng.integers(4, size=(n - 1, steps))], axis=1)
+        known, left = np.full(n, steps), np.full(n, steps)
+        near = Traffic.around(0, paths, known, left, min_cells)
+        everyone = near._replace(others=np.arange(1, n))
+        left_out += n - 1 - len(near.others)
+        found, wanted = (
+            beam_path(0, paths[0, 0], steps, 50, True, np.arange(4), reach, traffic, air)[0] for traffic in (near, everyone)
+        )
+        np.testing.assert_array_equal(found, wanted)
+    assert left_out > 0

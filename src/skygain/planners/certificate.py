@@ -29,12 +29,14 @@ from numba import njit
 from skygain.errors import InputError
 from skygain.planners.base import Certificate
 from skygain.planners.covariance import Conditioned, PlanningField
-from skygain.planners.flight import DCOL, DROW, Cells, bfs
+from skygain.planners.flight import DCOL, DROW, Cells, distances_within
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.swarm import Swarm
 
 MOST_CONDITIONS = 300
 """readings, and cells of S, that a UAV's bound is conditioned on"""
+CONDITION_RANGE_M = 60.0
+"""how far beyond the UAV's reach they may lie"""
 RANDOM_PLANS = 5
 """random-waypoint plans whose mean information is the certificate's zero"""
 
@@ -129,16 +131,17 @@ def walk_bound(start, steps, index, among, counts, noise):
 def _path_bound(swarm: Swarm, field: PlanningField, planned: Cells, uav: int, steps: int, noise_db2: float) -> float:
     """An upper bound of F(P | ``planned``) over all paths P of ``uav``."""
     here = swarm.cells[uav]
-    distance = np.empty(swarm.flyable.shape, dtype=np.int32)
-    bfs(np.ascontiguousarray(swarm.flyable), int(here[0]), int(here[1]), distance, np.empty(distance.size, dtype=np.int64))
+    distance = distances_within(swarm.flyable, here, steps)
     near = (distance >= 0) & (distance <= steps)
     cells = np.argwhere(near)
     index = np.full(distance.shape, -1, dtype=np.int32)
     index[near] = np.arange(len(cells))
     taken = np.zeros(distance.shape, dtype=bool)
     taken[planned[:, 0], planned[:, 1]] = True
-    local = field.near(here[None], MOST_CONDITIONS)
-    close = planned[np.argsort(np.sum((planned - here) ** 2, axis=1), kind="stable")[:MOST_CONDITIONS]]
+    local = field.near(here[None], MOST_CONDITIONS, steps + CONDITION_RANGE_M / field.grid.spacing_m)
+    gap = np.sum((planned - here) ** 2, axis=1)
+    close = np.argsort(gap, kind="stable")[:MOST_CONDITIONS]
+    close = planned[close[gap[close] <= (steps + CONDITION_RANGE_M / field.grid.spacing_m) ** 2]]
     source = replace(
         local,
         cells=np.concatenate([local.cells, close]),

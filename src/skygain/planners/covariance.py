@@ -89,12 +89,16 @@ class PlanningField:
         product = std[cells[:, 0], cells[:, 1]][:, None] * std[others[:, 0], others[:, 1]]
         return (product * np.exp(-gap / FALLBACK_RANGE_M)).astype(dtype)
 
-    def near(self, centres: Cells, most: int) -> PlanningField:
-        """The same field, conditioned on only the ``most`` readings nearest to any of ``centres[k, (row, col)]``."""
-        if len(self.cells) <= most:
+    def near(self, centres: Cells, most: int, span: float = np.inf) -> PlanningField:
+        """The same field, conditioned on only the ``most`` readings nearest to any of ``centres[k, (row, col)]``.
+
+        Readings more than ``span`` cells away from all of them are left out too.
+        """
+        if len(self.cells) <= most and not np.isfinite(span):
             return self
         gap = np.min(np.sum((self.cells[:, None] - centres[None]) ** 2, axis=2), axis=1)
-        keep = np.sort(np.argsort(gap, kind="stable")[:most])
+        keep = np.argsort(gap, kind="stable")[:most]
+        keep = np.sort(keep[gap[keep] <= span**2])
         return replace(self, cells=self.cells[keep], noise_db2=self.noise_db2[keep])
 
     def conditioned(self, dtype: type = np.float64) -> Conditioned:

@@ -12,6 +12,7 @@ __all__ = [
     "Airspace",
     "bfs",
     "blocked_home",
+    "distances_within",
     "followed",
     "home_margins",
     "is_free_step",
@@ -81,6 +82,17 @@ def bfs(flyable, row, col, out, queue):
                 queue[tail] = i * cols + j
                 tail += 1
     return tail
+
+
+def distances_within(flyable: NDArray[np.bool_], start: Cells, steps: int) -> NDArray[np.int32]:
+    """``[row, col]`` fewest moves from ``start``, −1 where ``steps`` moves do not suffice; costs the same on a map of any size."""
+    top, west = np.maximum(start - steps, 0)
+    window = np.ascontiguousarray(flyable[top : start[0] + steps + 1, west : start[1] + steps + 1])
+    inside = np.empty(window.shape, dtype=np.int32)
+    bfs(window, int(start[0] - top), int(start[1] - west), inside, np.empty(inside.size, dtype=np.int64))
+    distance = np.full(flyable.shape, -1, dtype=np.int32)
+    distance[top : start[0] + steps + 1, west : start[1] + steps + 1] = np.where(inside <= steps, inside, -1)
+    return distance
 
 
 @njit(cache=True)

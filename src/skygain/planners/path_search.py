@@ -56,13 +56,25 @@ class Traffic(NamedTuple):
     """``[uav]`` last step up to which each path is settled; later the UAV is ignored"""
     left: NDArray[np.int64]
     """``[uav]`` moves each battery allows"""
+    others: NDArray[np.int64]
+    """UAVs that can come near the planning one"""
+
+    @classmethod
+    def around(
+        cls, uav: int, paths: NDArray[np.int64], known: NDArray[np.int64], left: NDArray[np.int64], min_cells: float
+    ) -> Traffic:
+        """The traffic that ``uav`` has to look out for within the steps of ``paths``; its cost does not grow with the swarm."""
+        moves = np.abs(paths[:, 0] - paths[uav, 0]).sum(axis=1)
+        near = moves <= 2 * (paths.shape[1] - 1) + np.sqrt(2.0) * min_cells
+        near[uav] = False
+        return cls(paths, known, left, np.flatnonzero(near))
 
 
 @njit(cache=True)
 def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     """Whether moving from (row, col) to (to_row, to_col) as move number ``step`` (from 1) keeps clear of the settled paths."""
-    for other in range(len(traffic.paths)):
-        if other == uav or traffic.left[other] < step:
+    for other in traffic.others:
+        if traffic.left[other] < step:
             continue
         if traffic.known[other] == 0:  # undecided: leave the cell it holds now alone, so that it can hover
             if step == 1 and not keeps_apart(to_row, to_col, traffic.paths[other, 0, 0], traffic.paths[other, 0, 1], air):
@@ -171,11 +183,12 @@ def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic:
     ``by_move`` keeps one survivor per cell and last move instead of one per cell: better over short horizons, where the beam is wide
     enough to hold them. ``order`` is the order in which the four moves are tried; among equals the first wins.
     """
-    rows, cols = air.flyable.shape
+    side = 2 * horizon + 1  # of the window that can be reached, in which cells are numbered row by row
+    top, west = start[0] - horizon, start[1] - horizon
     split = 1 if by_move else 0
     n_targets = reach.targets.shape[1] if reach.objective == VARIANCE else 0
     most = horizon * width + 1
-    at = np.empty(most, dtype=np.int64)  # cell of each node
+    at = np.empty(most, dtype=np.int64)  # cell of each node, numbered in the window
     parent = np.full(most, -1)
     last = np.full(most, -1)  # the latest measured node on the way, the node itself included
     measured_parent = np.full(most, -1)  # for measured nodes: the one measured before
@@ -185,7 +198,7 @@ def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic:
     factor_given = np.empty((most if reach.objective == MUTUAL_INFORMATION else 1, horizon), dtype=np.float32)
     maps = np.empty((most if n_targets else 1, n_targets), dtype=np.float32)
     # candidates of one layer: at most one per cell and last move
-    slot = np.full(4 * rows * cols, -1)
+    slot = np.full(4 * side * side, -1)
     room = 4 * width
     c_at = np.empty(room, dtype=np.int64)
     c_parent = np.empty(room, dtype=np.int64)
@@ -198,12 +211,12 @@ def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic:
     place = np.arange(room + 1)  # candidate -> line of the three buffers above; the last line is scratch
     chain = np.empty(horizon, dtype=np.int64)
     alone = _gains_alone(reach)
-    at[0] = start[0] * cols + start[1]
+    at[0] = horizon * side + horizon
     first, end = 0, 1
     for step in range(1, horizon + 1):
         count = 0
         for node in range(first, end):
-            row, col = at[node] // cols, at[node] % cols
+            row, col = top + at[node] // side, west + at[node] % side
             depth = _chain_of(last[node], measured_parent, chain)
             for k in range(4):
                 to_row, to_col = row + DROW[order[k]], col + DCOL[order[k]]
@@ -211,7 +224,7 @@ def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic:
                     continue
                 if not is_clear(uav, step, row, col, to_row, to_col, traffic, air):
                     continue
-                there, cell, gain = to_row * cols + to_col, reach.number[to_row, to_col], -1.0
+                there, cell, gain = (to_row - top) * side + to_col - west, reach.number[to_row, to_col], -1.0
                 mine = slot[4 * there + split * order[k]]
                 if mine >= 0 and value[node] + (alone[cell] if cell >= 0 else 0.0) <= c_value[mine]:
                     continue  # it cannot win
@@ -261,7 +274,7 @@ def beam_path(uav, start, horizon, width, by_move, order, reach: Reach, traffic:
     path = np.empty((length + 1, 2), dtype=np.int64)
     k = best
     for j in range(length, -1, -1):
-        path[j, 0], path[j, 1] = at[k] // cols, at[k] % cols
+        path[j, 0], path[j, 1] = top + at[k] // side, west + at[k] % side
         k = parent[k]
     return path, value[best]
 

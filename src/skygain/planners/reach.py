@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from skygain.planners.covariance import Conditioned, PlanningField
-from skygain.planners.flight import Cells, bfs
+from skygain.planners.flight import Cells, distances_within
 from skygain.planners.path_search import MUTUAL_INFORMATION, VARIANCE, Reach
 from skygain.swarm import Swarm
 
@@ -88,8 +88,7 @@ class LocalReach:
     ) -> LocalReach:
         """The reach of ``uav`` within ``steps``; with ``stride`` 2 only the cells of every second step count as measured."""
         here = swarm.cells[uav]
-        distance = np.empty(swarm.flyable.shape, dtype=np.int32)
-        bfs(np.ascontiguousarray(swarm.flyable), int(here[0]), int(here[1]), distance, np.empty(distance.size, dtype=np.int64))
+        distance = distances_within(swarm.flyable, here, steps)
         near = (distance >= 0) & (distance <= steps) & (distance % stride == 0)
         cells = np.argwhere(near)
         index = np.full(distance.shape, -1, dtype=np.int32)
@@ -98,7 +97,9 @@ class LocalReach:
             targets, weights = target_cells(weight, here, steps + target_range_m / swarm.spacing_m, most_targets)
         else:
             targets, weights = np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.float32)
-        source = field.near(here[None], most_readings).conditioned(np.float32)
+        # readings as far beyond the targets as those are beyond the reach are screened off by nearer ones
+        span = steps + 2 * target_range_m / swarm.spacing_m
+        source = field.near(here[None], most_readings, span).conditioned(np.float32)
         white = source.whitened(np.concatenate([cells, targets]))
         mine, theirs = white[:, : len(cells)], white[:, len(cells) :]
         return cls(

@@ -74,7 +74,7 @@ class SequentialGreedyPlanner(Planner):
     noise_db2: float = 1.0
     """σ², noise variance of the readings in the objectives"""
     most_readings: int = 400
-    """readings conditioned on per UAV, the nearest"""
+    """readings conditioned on per UAV, the nearest within its reach and twice ``target_range_m``"""
     most_targets: int = 500
     """cells per UAV that stand for the map in the objectives"""
     target_range_m: float = 60.0
@@ -140,7 +140,8 @@ class SequentialGreedyPlanner(Planner):
             for u in rng.permutation(flying):
                 planned = _planned_cells(paths, settled, int(u), stride, span) if self.coordinated else np.empty((0, 2), np.int64)
                 here = reach[u].given(planned)
-                traffic, order = Traffic(paths, settled, swarm.steps_left), rng.permutation(4)
+                traffic = Traffic.around(int(u), paths, settled, swarm.steps_left, air.min_cells)
+                order = rng.permutation(4)
                 start = swarm.cells[u], ahead[u]
                 if self.tree_rounds:
                     draws = rng.random((self.tree_rounds, ahead[u], 5))
