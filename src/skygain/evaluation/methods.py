@@ -21,10 +21,13 @@ from skygain.scenario import Scenario
 
 
 def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
-    """Split ``name:key=value:…`` into the name and its options; values are Python literals, anything else stays text.
+    """Split ``name:key=value:…`` into the name and its options; values are Python literals (also true and false), anything else
+    stays text.
 
     >>> parse_spec("knn:k=5:weights=uniform")
     ('knn', {'k': 5, 'weights': 'uniform'})
+    >>> parse_spec("sequential-greedy:weighted=false")
+    ('sequential-greedy', {'weighted': False})
     """
     name, *pairs = text.strip().split(":")
     options: dict[str, Any] = {}
@@ -33,7 +36,7 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
         if not sign or not key.isidentifier():
             raise InputError(f"cannot read the option {pair!r} of {text!r}; write options as name:key=value:key=value")
         try:
-            options[key] = ast.literal_eval(value)
+            options[key] = ast.literal_eval(value.capitalize() if value.lower() in ("true", "false") else value)
         except (ValueError, SyntaxError):
             options[key] = value
     return name, options
