@@ -6,9 +6,9 @@ exactly is answered with its reading and no variance: the network was told the v
 
 from __future__ import annotations
 
-__all__ = ["MapNetwork", "NetworkBelief"]
+__all__ = ["MapNetwork", "NetworkBelief", "posteriors_together"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,8 +22,8 @@ from skygain.predictors.base import Belief
 from skygain.predictors.readings import checked_flat, combined
 from skygain.scenario import Scenario
 
-MapNetwork = Callable[[Scenario, NDArray[np.float32], NDArray[np.bool_]], tuple[NDArray, NDArray]]
-"""(scenario, gain ``[row, col]``, measured ``[row, col]``) → (mean in dB, variance in dB²), each ``[row, col]``"""
+MapNetwork = Callable[[Sequence[Scenario], NDArray[np.float32], NDArray[np.bool_]], tuple[NDArray, NDArray]]
+"""(scenarios of one shape, gain ``[survey, row, col]``, measured ``[survey, row, col]``) → (mean in dB, variance in dB²), likewise"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +58,25 @@ class NetworkBelief(Belief):
 
     @cached_property
     def _posterior(self) -> Posterior:
-        grid, data = self.scenario.grid, self.measurements
+        return posteriors_together([self])[0]
+
+
+def posteriors_together(beliefs: Sequence[NetworkBelief]) -> list[Posterior]:
+    """The posteriors of beliefs that share a network and a map's shape, from one run of the network over all of them."""
+    grid = beliefs[0].scenario.grid
+    gain, measured = np.zeros((len(beliefs), grid.size), dtype=np.float32), np.zeros((len(beliefs), grid.size), dtype=bool)
+    known = []
+    for k, belief in enumerate(beliefs):
+        data = belief.measurements
         readings = combined(grid.flat(data.cell), data.gain_db, data.noise_std_db**2)
-        gain, measured = np.zeros(grid.size, dtype=np.float32), np.zeros(grid.size, dtype=bool)
-        gain[readings.cells], measured[readings.cells] = readings.gain_db, True
-        mean, variance = self.network(self.scenario, gain.reshape(grid.shape), measured.reshape(grid.shape))
-        mean, variance = mean.astype(float), variance.astype(float)
+        gain[k, readings.cells], measured[k, readings.cells] = readings.gain_db, True
+        known.append(readings)
+    whole = (len(beliefs), *grid.shape)
+    means, variances = beliefs[0].network([b.scenario for b in beliefs], gain.reshape(whole), measured.reshape(whole))
+    found = []
+    for mean, variance, readings in zip(means.astype(float), variances.astype(float), known, strict=True):
         exact = readings.noise_db2 == 0
         mean.ravel()[readings.cells[exact]] = readings.gain_db[exact]
         variance.ravel()[readings.cells[exact]] = 0.0
-        return Posterior(mean, variance)
+        found.append(Posterior(mean, variance))
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = ["PaperUNetPredictor", "map_blind_unet"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -52,17 +53,20 @@ class PaperUNetPredictor(Predictor):
         load_network(network, self.weights)
         return network
 
-    def _evaluate(self, scenario: Scenario, gain: NDArray[np.float32], measured: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+    def _evaluate(
+        self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
+    ) -> tuple[NDArray, NDArray]:
         import torch
 
         from skygain.learning.paper_unet_net import SIDE, paper_inputs
 
-        rows, cols = scenario.grid.shape
-        room = ((0, SIDE - rows), (0, SIDE - cols))
-        height, gains, mask = (torch.from_numpy(np.pad(m, room)[None]) for m in (scenario.city.height_m, gain, measured))
+        rows, cols = gain.shape[1:]
+        room = ((0, 0), (0, SIDE - rows), (0, SIDE - cols))
+        heights = np.stack([s.city.height_m for s in scenarios])
+        height, gains, mask = (torch.from_numpy(np.pad(m, room)) for m in (heights, gain, measured))
         with torch.inference_mode():
             mean, log_variance = self._network(paper_inputs(height, gains, mask, self.blind))
-        return mean[0, :rows, :cols].numpy(), torch.exp(log_variance)[0, :rows, :cols].numpy()
+        return mean[:, :rows, :cols].numpy(), torch.exp(log_variance)[:, :rows, :cols].numpy()
 
 
 def map_blind_unet(weights: str | Path = "paper-unet-mapblind") -> PaperUNetPredictor:

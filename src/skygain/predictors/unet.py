@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = ["UNetPredictor"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -37,13 +38,16 @@ class UNetPredictor(Predictor):
         load_network(network, self.weights)
         return network
 
-    def _evaluate(self, scenario: Scenario, gain: NDArray[np.float32], measured: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+    def _evaluate(
+        self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
+    ) -> tuple[NDArray, NDArray]:
         import torch
 
         from skygain.learning.direct_net import direct_inputs
 
-        height, gains, mask = (torch.from_numpy(np.array(m)[None]) for m in (scenario.city.height_m, gain, measured))
+        height = torch.from_numpy(np.stack([s.city.height_m for s in scenarios]))
+        altitude = torch.tensor([float(s.prediction_altitude_m) for s in scenarios])
         with torch.inference_mode():
-            inputs = direct_inputs(height, gains, mask, torch.tensor([float(scenario.prediction_altitude_m)]))
+            inputs = direct_inputs(height, torch.from_numpy(gain), torch.from_numpy(measured), altitude)
             mean, log_variance = self._network(inputs)
-        return mean[0].numpy(), torch.exp(log_variance)[0].numpy()
+        return mean.numpy(), torch.exp(log_variance).numpy()

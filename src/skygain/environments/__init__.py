@@ -1,0 +1,36 @@
+"""Surveys as reinforcement-learning environments."""
+
+from __future__ import annotations
+
+__all__ = ["ENVIRONMENT_ID", "make", "make_single"]
+
+from typing import Any
+
+from skygain.errors import require
+
+ENVIRONMENT_ID = "skygain/ActiveMapping-v0"
+"""name and version; a change of observation, action or reward raises the version"""
+
+
+def make(**options: Any) -> Any:
+    """The PettingZoo environment, see `skygain.environments.active_mapping.ActiveMapping` for the options.
+
+    Raises:
+        InputError: PettingZoo is not installed; the message names the extra.
+    """
+    require("pettingzoo", "rl")
+    from skygain.environments.active_mapping import ActiveMapping
+
+    return ActiveMapping(**options)
+
+
+def make_single(**options: Any) -> Any:
+    """The Gymnasium view for one UAV, with the same options but for ``n_uavs``.
+
+    Raises:
+        InputError: Gymnasium is not installed; the message names the extra.
+    """
+    require("gymnasium", "rl")
+    from skygain.environments.single_uav import SingleUavMapping
+
+    return SingleUavMapping(**options)
