@@ -269,7 +269,7 @@ def dataset_build(
     out: Annotated[Path, typer.Option(help="The data set to write, PATH.zarr.zip.")],
     workers: Annotated[int, typer.Option(help="Cities traced at the same time.")] = 1,
     resume: Annotated[bool, typer.Option(help="Go on from the cities already traced; --no-resume starts again.")] = True,
-    propagation: Annotated[str, typer.Option(help="Propagation model of the truth.")] = "union",
+    propagation: Annotated[str | None, typer.Option(help="Propagation model of the truth; the preset's when left out.")] = None,
 ) -> None:
     """Generate cities and trace their transmitters; can be killed at any time and goes on where it stopped."""
     from skygain.datasets.builder import build_dataset

@@ -76,7 +76,7 @@ def test_a_reading_at_the_floor_acts_as_in_kriging():
 def test_progress_counts_every_cell():
     seen = []
     predictor = create_predictor("local-kriging", progress=lambda done, total: seen.append((done, total)))
-    predictor.begin(scenario()).updated(Measurements.at([[3, 3]], [-100.0]))
+    predictor.begin(scenario()).updated(Measurements.at([[3, 3]], [-100.0])).posterior()
     assert seen[-1] == (21 * 17, 21 * 17)
 
 

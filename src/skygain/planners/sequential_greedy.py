@@ -1,8 +1,9 @@
 """Sequential greedy planning: UAVs choose their paths one after another, each knowing what the others will measure.
 
 The first UAV takes the path that gains most, the second the path that gains most given the first one's readings, and so on; then
-every UAV in turn plans again given all the others, until no one gains. The cost grows linearly with the number of UAVs. The
-objective is one of
+every UAV in turn plans again given all the others, until no one gains. The cost grows linearly with the number of UAVs. Over short
+horizons, where searching is cheap and UAVs are in each other's way, the same is done from several random joint paths too and the
+best outcome is taken. The objective is one of
 
 - ``variance``: Σ_x w(x)·(σ²(x) − σ²(x | S)) over outdoor unvisited cells x, the fall of the expected squared error, where
   w(x) = `skygain.planners.volatility.volatility` for a belief with a stationary prior and 1 otherwise;
@@ -35,6 +36,7 @@ from skygain.planners.path_search import (
     exact_path,
     path_value,
 )
+from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.planners.reach import LocalReach
 from skygain.planners.tree_search import tree_path
 from skygain.planners.volatility import volatility
@@ -45,6 +47,8 @@ OBJECTIVES = {"variance": VARIANCE, "entropy": ENTROPY, "mutual-information": MU
 """names of the objectives"""
 GAIN_SHARE = 1e-4
 """a new path replaces the old one in a sweep if it gains more than this share"""
+MOST_SWEEPS = 4
+"""rounds in which random joint paths are improved"""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ class SequentialGreedyPlanner(Planner):
     """paths kept per depth of the beam search"""
     exact_horizon: int = 6
     """horizons up to this are searched exhaustively, UAV by UAV"""
+    restarts: int = 6
+    """random joint paths that are improved as well over horizons that are searched exhaustively"""
     tree_rounds: int = 0
     """rounds of Monte-Carlo tree search per path, which takes the beam's place if above 0"""
     stride: int | None = None
@@ -83,10 +89,10 @@ class SequentialGreedyPlanner(Planner):
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
             raise InputError(f"unknown objective {self.objective!r}; known: {', '.join(OBJECTIVES)}")
-        if min(self.horizon, self.commit_steps, self.width) < 1 or min(self.sweeps, self.tree_rounds) < 0:
+        if min(self.horizon, self.commit_steps, self.width) < 1 or min(self.sweeps, self.tree_rounds, self.restarts) < 0:
             raise InputError(
-                "sequential greedy needs horizon, commit_steps, width >= 1 and sweeps, tree_rounds >= 0, got "
-                f"{self.horizon}, {self.commit_steps}, {self.width} and {self.sweeps}, {self.tree_rounds}"
+                "sequential greedy needs horizon, commit_steps, width >= 1 and sweeps, tree_rounds, restarts >= 0, got "
+                f"{self.horizon}, {self.commit_steps}, {self.width} and {self.sweeps}, {self.tree_rounds}, {self.restarts}"
             )
         if self.stride not in (None, 1, 2):
             raise InputError(f"stride must be 1, 2 or None, got {self.stride}")
@@ -117,7 +123,7 @@ class SequentialGreedyPlanner(Planner):
         air, flying = Airspace.of(swarm), np.flatnonzero(swarm.flying)
         ahead = np.minimum(steps, swarm.steps_left)
         reach = {
-            u: LocalReach.around(
+            int(u): LocalReach.around(
                 field,
                 swarm,
                 int(u),
@@ -134,23 +140,60 @@ class SequentialGreedyPlanner(Planner):
         }
         paths = np.repeat(swarm.cells[:, None], steps + 1, axis=1)
         settled = np.zeros(swarm.n_uavs, dtype=np.int64)
-        span = 2 * self.target_range_m / swarm.spacing_m + steps
-        for sweep in range(1 + (self.sweeps if self.coordinated and len(flying) > 1 else 0)):
+        search = _Search(self, swarm, air, reach, ahead, stride, 2 * self.target_range_m / swarm.spacing_m + steps)
+        together = self.coordinated and len(flying) > 1
+        search.improve(paths, settled, 1 + (self.sweeps if together else 0), rng)
+        if together and steps <= self.exact_horizon and not self.tree_rounds and self.restarts:
+            best = search.value(paths, settled)
+            for _ in range(self.restarts):
+                try:
+                    other = RandomWaypointPlanner().paths(swarm, steps, rng)
+                except InputError:  # a random walk may find no common way home
+                    break
+                known = ahead.copy()
+                search.improve(other, known, 1 + MOST_SWEEPS, rng)
+                if (value := search.value(other, known)) > best * (1 + GAIN_SHARE):
+                    best, paths, settled = value, other, known
+        return [paths[u, : settled[u] + 1] for u in range(swarm.n_uavs)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for one decision's paths: every UAV in turn, given the others."""
+
+    planner: SequentialGreedyPlanner
+    swarm: Swarm
+    air: Airspace
+    reach: dict[int, LocalReach]
+    ahead: NDArray[np.int64]  # [uav] steps to plan
+    stride: int
+    span: float  # cells around a UAV in which others' readings matter to it
+
+    def improve(self, paths: Cells, settled: NDArray[np.int64], rounds: int, rng: np.random.Generator) -> None:
+        """Let every UAV plan in turn, up to ``rounds`` times until none gains.
+
+        ``paths[uav, step, (row, col)]`` and ``settled[uav]``, the steps planned so far, are changed in place.
+        """
+        planner, swarm, ahead, stride, air = self.planner, self.swarm, self.ahead, self.stride, self.air
+        flying = np.array(list(self.reach), dtype=np.int64)
+        for _ in range(rounds):
             gained = False
             for u in rng.permutation(flying):
-                planned = _planned_cells(paths, settled, int(u), stride, span) if self.coordinated else np.empty((0, 2), np.int64)
-                here = reach[u].given(planned)
+                planned = np.empty((0, 2), np.int64)
+                if planner.coordinated:
+                    planned = _planned_cells(paths, settled, int(u), stride, self.span)
+                here = self.reach[u].given(planned)
                 traffic = Traffic.around(int(u), paths, settled, swarm.steps_left, air.min_cells)
                 order = rng.permutation(4)
                 start = swarm.cells[u], ahead[u]
-                if self.tree_rounds:
-                    draws = rng.random((self.tree_rounds, ahead[u], 5))
+                if planner.tree_rounds:
+                    draws = rng.random((planner.tree_rounds, ahead[u], 5))
                     path, value = tree_path(u, *start, draws, here, traffic, air)
-                elif ahead[u] <= self.exact_horizon:
+                elif ahead[u] <= planner.exact_horizon:
                     path, value = exact_path(u, *start, order, here, traffic, air)
                 else:
-                    path, value = beam_path(u, *start, self.width, stride == 1, order, here, traffic, air)
-                if sweep and value <= path_value(paths[u, : settled[u] + 1], here) * (1 + GAIN_SHARE):
+                    path, value = beam_path(u, *start, planner.width, stride == 1, order, here, traffic, air)
+                if settled[u] and value <= path_value(paths[u, : settled[u] + 1], here) * (1 + GAIN_SHARE):
                     continue
                 gained = True
                 settled[u] = len(path) - 1
@@ -158,7 +201,15 @@ class SequentialGreedyPlanner(Planner):
                 paths[u, len(path) :] = path[-1]
             if not gained:
                 break
-        return [paths[u, : settled[u] + 1] for u in range(swarm.n_uavs)]
+
+    def value(self, paths: Cells, settled: NDArray[np.int64]) -> float:
+        """What all paths gain together, by the chain rule: each UAV's gain given those before it."""
+        total, known = 0.0, np.zeros_like(settled)
+        for u in self.reach:
+            here = self.reach[u].given(_planned_cells(paths, known, u, self.stride, self.span))
+            total += path_value(paths[u, : settled[u] + 1], here)
+            known[u] = settled[u]
+        return total
 
 
 def _planned_cells(paths: Cells, settled: NDArray[np.int64], uav: int, stride: int, span: float) -> Cells:

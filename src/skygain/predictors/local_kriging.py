@@ -4,8 +4,9 @@ Every cell is predicted from the ``neighbours`` measured cells nearest to it. Wi
 the far ones, so that a few dozen lose little. The trend's coefficients are shared by the whole map and learned from `TREND_ROWS`
 of the measurements. Up to ``neighbours`` measurements the belief is exactly that of `skygain.predictors.kriging.KrigingPredictor`.
 
-An update predicts again only the cells whose neighbourhood has changed. Cells are handled in chunks by as many threads as there
-are processors; memory is a few numbers per cell and measurement, whatever their numbers. Readings at the receiver's floor enter
+An update notes the readings and keeps the parameters fitted. The map is predicted when it is asked for, and then only the cells
+whose neighbourhood has changed since it last was. Cells are handled in chunks by as many threads as there are processors; memory
+is a few numbers per cell and measurement, whatever their numbers. Readings at the receiver's floor enter
 as in Kriging, each on its own. The posterior has no covariance between cells; planners condition the kernel on the readings nearest
 to where they plan.
 """
@@ -87,7 +88,9 @@ class LocalKrigingPredictor(Predictor):
                 f"a trend {trend!r} has {flown.shape[1]} coefficients, but the parameters give {len(parameters.trend)}"
             )
         setting = _Setting(self, scenario, tuple(priors), flown, predicted)
-        return LocalKrigingBelief(setting, Measurements.none(), _unobserved(setting, parameters))
+        state = _unobserved(setting, parameters)
+        waiting = _Waiting(parameters, 0, state.readings, state.readings.cells)
+        return LocalKrigingBelief(setting, Measurements.none(), state, waiting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +147,16 @@ class _State:
             mean[self.readings.cells[exact]] = self.readings.gain_db[exact]
             variance[self.readings.cells[exact]] = 0.0
         return mean, np.maximum(variance, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Waiting:
+    """Parameters and readings to predict from, and where they differ from those of the state predicted last. Immutable."""
+
+    parameters: KrigingParameters
+    fitted_at: int
+    readings: Readings  # one per measured cell
+    changed: Flat  # cells whose reading is new or another one
 
 
 def _unobserved(setting: _Setting, parameters: KrigingParameters) -> _State:
@@ -232,19 +245,20 @@ def _with_trend(setting: _Setting, state: _State) -> _State:
 class LocalKrigingBelief(Belief):
     """What local Kriging knows in the middle of a survey."""
 
-    __slots__ = ("_posterior", "_setting", "_state", "measurements", "scenario")
+    __slots__ = ("_posterior", "_setting", "_state", "_waiting", "measurements", "scenario")
 
-    def __init__(self, setting: _Setting, measurements: Measurements, state: _State) -> None:
+    def __init__(self, setting: _Setting, measurements: Measurements, state: _State, waiting: _Waiting) -> None:
         self.scenario = setting.scenario
         self.measurements = measurements
         self._setting = setting
         self._state = state
+        self._waiting = waiting
         self._posterior: Posterior | None = None
 
     @property
     def parameters(self) -> KrigingParameters:
         """Trend and covariance in use, as of the last fit."""
-        return self._state.parameters
+        return self._waiting.parameters
 
     def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
         """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading: φ exp(−d/δ) + ν·1[d = 0]."""
@@ -263,40 +277,55 @@ class LocalKrigingBelief(Belief):
         gain, noise = measurements.gain_db.copy(), measurements.noise_std_db**2
         keep = np.ones(len(flat), dtype=bool)
         if measurements.censored.any():
-            mean, variance = self._state.moments(self._setting)
+            mean, variance = self._predicted().moments(self._setting)
             for i in np.flatnonzero(measurements.censored):
                 pseudo = floor_reading(mean[flat[i]], variance[flat[i]], gain[i], noise[i])
                 keep[i] = pseudo is not None
                 if pseudo is not None:
                     gain[i], noise[i] = pseudo
-        state = self._grown(combined(flat[keep], gain[keep], noise[keep]))
-        return LocalKrigingBelief(self._setting, self.measurements.extended(measurements), state)
+        waiting = self._grown(combined(flat[keep], gain[keep], noise[keep]))
+        return LocalKrigingBelief(self._setting, self.measurements.extended(measurements), self._state, waiting)
 
-    def _grown(self, coming: Readings) -> _State:
-        setting, state = self._setting, self._state
-        old = state.readings
+    def _grown(self, coming: Readings) -> _Waiting:
+        """What waits to be predicted from after ``coming`` as well, with the parameters fitted to it if that is due."""
+        setting, waiting = self._setting, self._waiting
+        old = waiting.readings
         known = np.zeros(self.scenario.grid.size, dtype=bool)
         known[old.cells[old.noise_db2 == 0]] = True
         news = ~known[coming.cells]
         coming = Readings(coming.cells[news], coming.gain_db[news], coming.noise_db2[news])
         if len(coming) == 0:
-            return state
+            return waiting
         merged = combined(
             np.concatenate([old.cells, coming.cells]),
             np.concatenate([old.gain_db, coming.gain_db]),
             np.concatenate([old.noise_db2, coming.noise_db2]),
         )
-        if setting.predictor.refit and fit_is_due(len(merged), state.fitted_at):
+        changed = np.union1d(waiting.changed, coming.cells)
+        if setting.predictor.refit and fit_is_due(len(merged), waiting.fitted_at):
             parameters = fit_to_survey(self.scenario.grid, setting.priors, merged, lambda cells: setting.flown_columns[cells])
-            fresh = replace(_unobserved(setting, parameters), readings=merged, fitted_at=len(merged))
-            return _predicted(setting, _with_trend(setting, fresh), np.arange(self.scenario.grid.size))
-        state = _with_trend(setting, replace(state, readings=merged))
-        distance, _ = cKDTree(self.scenario.grid.cells[coming.cells]).query(self.scenario.grid.cells)
-        return _predicted(setting, state, np.flatnonzero(distance <= state.reach + UNTIED))
+            return _Waiting(parameters, len(merged), merged, changed)
+        return replace(waiting, readings=merged, changed=changed)
+
+    def _predicted(self) -> _State:
+        """The state with all readings in it, worked out at the first call."""
+        setting, state, waiting = self._setting, self._state, self._waiting
+        if len(waiting.changed) == 0:
+            return state
+        cells = self.scenario.grid.cells
+        if waiting.fitted_at != state.fitted_at:
+            fresh = replace(_unobserved(setting, waiting.parameters), readings=waiting.readings, fitted_at=waiting.fitted_at)
+            self._state = _predicted(setting, _with_trend(setting, fresh), np.arange(len(cells)))
+        else:
+            state = _with_trend(setting, replace(state, readings=waiting.readings))
+            distance, _ = cKDTree(cells[waiting.changed]).query(cells)
+            self._state = _predicted(setting, state, np.flatnonzero(distance <= state.reach + UNTIED))
+        self._waiting = replace(waiting, changed=waiting.changed[:0])
+        return self._state
 
     def posterior(self) -> Posterior:
         if self._posterior is None:
             shape = self.scenario.grid.shape
-            mean, variance = self._state.moments(self._setting)
+            mean, variance = self._predicted().moments(self._setting)
             self._posterior = Posterior(mean.reshape(shape), variance.reshape(shape))
         return self._posterior
