@@ -6,19 +6,23 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from scipy import stats
 
 from skygain.learning.checkpoints import save_checkpoint
+from skygain.learning.locator_net import LocatorNet
 from skygain.learning.operator_net import PropagationOperator
 from skygain.learning.path_model import USED
 from skygain.measurements import Measurements
-from skygain.predictors.evidence import SMALLEST, Evidence, Factor, posterior_weights
 from skygain.predictors.operator import OperatorPredictor, OperatorSettings
 from skygain.predictors.residual_field import SMALLEST_VARIANCE, CorrelationModel, ResidualField
-from skygain.predictors.transmitter_search import coarse_squares, split_square
+from skygain.predictors.transmitter_search import TransmitterSearch
 from skygain.testing.predictors import check_predictor, example_scenario
 
-QUICK = OperatorSettings(at_most=60, fine_at_most=200)
+QUICK = OperatorSettings(at_most=30, fine_at_most=600)
+
+
+def begun(scenario, **changes):
+    options = {"margin_m": 40.0, "fine_m": 8.0, "fine_at_most": 5000, "coarse_m": 32.0, "at_most": 300, "height_z_m": 1.5}
+    return TransmitterSearch.begun(scenario, **{**options, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +33,9 @@ def predictor(tmp_path_factory):
     sizes = (len(USED), 8, 2)
     layers = {f"{i}.weight": torch.randn(b, a) / 4 for i, (a, b) in enumerate(pairwise(sizes))}
     save_checkpoint(folder / "paths.safetensors", layers | {f"{i}.bias": torch.zeros(b) for i, b in enumerate(sizes[1:])}, {})
-    return OperatorPredictor(weights=folder / "operator.safetensors", paths=folder / "paths.safetensors", settings=QUICK)
+    save_checkpoint(folder / "locator.safetensors", LocatorNet().state_dict(), {"name": "untrained"})
+    files = {"weights": "operator", "paths": "paths", "locator": "locator"}
+    return OperatorPredictor(**{k: folder / f"{name}.safetensors" for k, name in files.items()}, settings=QUICK)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -52,52 +58,6 @@ def test_the_field_is_the_textbook_gaussian_process(rng):
     assert np.allclose(field.left, 1 - (expected**2).sum(0), atol=1e-4)
 
 
-def evidence_of(readings, updates, soften=1e9):
-    """Evidence after ``readings`` = (cells, z, std), taken in parts of the sizes ``updates``."""
-    cells, z, std = readings
-    factor, evidence, at = Factor.empty(CorrelationModel(nugget=0.3), 4.0), Evidence.none(z.shape[1]), 0
-    for size in updates:
-        part = slice(at, at + size)
-        factor, rows = factor.grown(cells[part], np.zeros(size))
-        evidence, at = evidence.grown(z[part], std[part], rows, soften), at + size
-    return factor, evidence
-
-
-@pytest.fixture
-def readings(rng):
-    cells = np.stack(np.divmod(rng.permutation(100)[:9], 10), axis=-1)
-    return cells, rng.normal(size=(9, 4)), rng.uniform(2, 9, size=(9, 4))
-
-
-def test_the_likelihood_is_the_multivariate_students(readings):
-    cells, z, std = readings
-    factor, evidence = evidence_of(readings, [9])
-    distance = 4.0 * np.hypot(*np.moveaxis(cells[:, None] - cells[None], -1, 0))
-    R = factor.model.correlation(distance) + SMALLEST * np.eye(9)
-    expected = [
-        stats.multivariate_t(loc=np.zeros(9), shape=np.outer(s, s) * R, df=5).logpdf(v * s)
-        for v, s in zip(z.T, std.T, strict=True)
-    ]
-    found = evidence.log_likelihood(5.0)
-    assert np.allclose(found - found[0], np.array(expected) - expected[0], atol=1e-4)
-
-
-def test_the_likelihood_does_not_depend_on_how_the_readings_came(readings):
-    straight, parts = evidence_of(readings, [9], 2.0)[1], evidence_of(readings, [1, 5, 3], 2.0)[1]
-    assert np.allclose(straight.log_likelihood(3.0), parts.log_likelihood(3.0), atol=1e-4)
-    factor, _ = evidence_of(readings, [4, 5], 2.0)
-    late = Evidence.solved(readings[1], readings[2], factor, 2.0)
-    assert np.allclose(straight.log_likelihood(3.0), late.log_likelihood(3.0), atol=1e-4)
-
-
-def test_weights_are_probabilities_and_the_power_flattens_them():
-    prior, likelihood = np.array([1.0, 1.0, 2.0]), np.array([0.0, -4.0, -400.0])
-    sharp, flat = posterior_weights(prior, likelihood, 1.0), posterior_weights(prior, likelihood, 0.01)
-    assert np.isclose(sharp.sum(), 1)
-    assert sharp[0] > flat[0]
-    assert np.allclose(posterior_weights(prior, likelihood, 0.0), [0.25, 0.25, 0.5])
-
-
 def test_an_older_field_survives_a_branch():
     field, _ = ResidualField.empty(CorrelationModel(), (6, 6), 4.0).grown((1, 1), 0.0)
     before = field.W.copy()
@@ -107,54 +67,47 @@ def test_an_older_field_survives_a_branch():
     assert other.W[1].argmax() == 35
 
 
-def test_squares_cover_open_ground_once():
+def test_candidates_stand_for_every_square_and_come_closer(rng):
     scenario = example_scenario(transmitter=False)
-    squares = coarse_squares(scenario, margin_m=20.0, side_m=16.0, at_most=1000)
-    margin, cells = 5, {}
-    for square in squares:
-        for row in range(square.row, square.row + square.side):
-            for col in range(square.col, square.col + square.side):
-                cells[row, col] = cells.get((row, col), 0) + 1
-    assert set(cells.values()) == {1}
-    open_cells = {tuple(c) for c in np.argwhere(scenario.city.height_m == 0)}
-    assert open_cells <= set(cells)
-    assert any(row == -margin for row, _ in cells)
+    search = begun(scenario)
+    probability = rng.random(len(search.probability)) ** 4
+    search = replace(search, probability=probability / probability.sum())
+    place = 4.0 * search.evidence.grid.position[:, :2]
+    for _ in range(3):
+        apart = np.hypot(*(place[:, None] - place[search.chosen][None]).transpose(2, 0, 1))
+        assert np.allclose(search.distance_m, apart.min(axis=1))
+        assert np.allclose(apart[np.arange(len(place)), search.nearest], search.distance_m)
+        assert np.isclose(search.weights().sum(), 1)
+        finer = search.refined(4, gain_m=0.0)
+        assert finer.probability @ finer.distance_m < search.probability @ search.distance_m
+        search = finer
+    assert len(search.refined(100, gain_m=1e6).chosen) == len(search.chosen)
 
 
-def test_a_split_keeps_the_prior_and_never_enters_a_building():
+def test_the_first_candidates_are_no_more_than_allowed():
     scenario = example_scenario(transmitter=False)
-    squares = coarse_squares(scenario, margin_m=20.0, side_m=16.0, at_most=1000)
-    while squares:
-        for square in squares:
-            row, col = (round(v) for v in square.position)
-            assert not scenario.grid.contains((row, col)) or scenario.city.height_m[row, col] == 0
-        quarters = [split_square(scenario, 20.0, square) for square in squares]
-        for square, parts in zip(squares, quarters, strict=True):
-            assert square.side == 1 or np.isclose(sum(q.prior for q in parts), square.prior)
-        squares = [q for parts in quarters for q in parts]
+    assert len(begun(scenario, coarse_m=8.0, at_most=20).chosen) <= 20
+    assert len(begun(scenario, fine_at_most=200).probability) <= 200
 
 
-def test_fewer_squares_than_allowed():
+def test_squares_and_candidates_stand_on_open_ground():
     scenario = example_scenario(transmitter=False)
-    assert len(coarse_squares(scenario, margin_m=102.0, side_m=4.0, at_most=80)) <= 80
+    search = begun(scenario)
+    for row, col, _ in search.positions(np.arange(len(search.probability))):
+        cell = (int(np.floor(row + 0.5)), int(np.floor(col + 0.5)))
+        assert not scenario.grid.contains(cell) or scenario.city.height_m[cell] == 0
 
 
-def test_measurements_of_a_candidates_own_map_find_it(predictor, rng):
+def test_measuring_brings_new_candidates_and_keeps_the_old(predictor, rng):
     scenario = example_scenario(transmitter=False)
     belief = predictor.begin(scenario)
-    target = 7
     free = np.argwhere(scenario.flyable)
-    cells = free[rng.permutation(len(free))[:25]]
-    mean, _ = belief.maps.at(belief.candidates.maps[[target]], scenario.grid.flat(cells), 10.0)
-    after = belief.updated(Measurements.at(cells, mean[:, 0]))
-    square = belief.candidates.squares[target]
-    weights = after.weights()
-    inside = [
-        w
-        for w, s in zip(weights, after.candidates.squares, strict=True)
-        if square.row <= s.row < square.row + square.side and square.col <= s.col < square.col + square.side
-    ]
-    assert sum(inside) > 3 * belief.weights()[target]
+    cells = free[rng.permutation(len(free))[:12]]
+    after = belief.updated(Measurements.at(cells, rng.uniform(-130, -70, 12)))
+    assert np.array_equal(after.candidates[: len(belief.candidates)], belief.candidates)
+    assert len(belief.candidates) < len(after.candidates) <= len(belief.candidates) + 4
+    assert np.isclose(after.weights().sum(), 1)
+    assert after.whitened.shape == (12, len(after.candidates))
 
 
 def test_variance_shrinks_where_the_transmitter_is_known(predictor, rng):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from skygain.errors import InputError
+from skygain.learning.locator_task import LocatorTask
 from skygain.learning.path_model import train_path_model
 from skygain.learning.survey_tasks import DirectTask, PaperTask
 from skygain.learning.tasks import OperatorTask
@@ -33,9 +34,14 @@ PAPER = TrainConfig(
     validate_steps=100,
 )
 
+LOCATOR = TrainConfig(
+    task=LocatorTask(), data="", out="", batch_size=32, learning_rate=2e-3, weight_decay=2e-2, hold_steps=600, validate_steps=200
+)
+
 RECIPES: dict[str, TrainConfig] = {
     "operator": OURS,
     "operator-no-profile": replace(OURS, task=OperatorTask(profile=False)),
+    "locator": LOCATOR,
     "unet": replace(OURS, task=DirectTask()),
     "paper-unet": PAPER,
     "paper-unet-mapblind": replace(PAPER, task=PaperTask(blind=True)),

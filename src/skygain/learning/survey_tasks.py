@@ -16,7 +16,7 @@ from skygain.learning.likelihood import gaussian_loss
 from skygain.learning.links import Links, View
 from skygain.learning.operator_net import OperatorConfig
 from skygain.learning.paper_unet_net import SIDE, PaperUNets, paper_inputs
-from skygain.learning.tasks import Batch, stacked
+from skygain.learning.tasks import Batch, GainTask, stacked
 from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
 
 
@@ -39,7 +39,7 @@ def _surveyed(views: list[View], measured: list[NDArray[np.bool_]]) -> Batch:
 
 
 @dataclass(frozen=True)
-class PaperTask:
+class PaperTask(GainTask):
     """The paper's training (section VIII-B): N random-waypoint UAVs, p = 0.8, 50–300 steps each."""
 
     uavs: int = 3
@@ -71,7 +71,7 @@ class PaperTask:
 
 
 @dataclass(frozen=True)
-class DirectTask:
+class DirectTask(GainTask):
     """Any number of UAVs on any kind of path: the mixture that keeps a network from relying on one planner's habits."""
 
     side: int = 96

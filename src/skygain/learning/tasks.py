@@ -5,8 +5,9 @@ Batch number k is a function of (seed, k) alone, so a resumed run sees exactly t
 
 from __future__ import annotations
 
-__all__ = ["OperatorTask", "Task", "scores_of"]
+__all__ = ["GainTask", "OperatorTask", "Task", "scores_of"]
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from skygain.learning.likelihood import gaussian_loss, gaussian_scores
-from skygain.learning.links import Links, View
+from skygain.learning.links import Links, View, load_links
 from skygain.learning.operator_net import OperatorConfig, PropagationOperator
 from skygain.learning.path_features import CHANNELS, PROFILE_CHANNELS, fill_features
 
@@ -29,17 +30,34 @@ class Task(Protocol):
     def side(self) -> int:
         """Cells along the edge of a training window."""
 
+    def load(self, data: str, split: str, report: Callable[[dict[str, Any]], None]) -> Any:
+        """What batches are made of, from one split of the data set ``data``; ``report`` hears of long preparations."""
+
     def network(self) -> nn.Module:
         """A fresh network; its initial weights come from PyTorch's global generator."""
 
-    def batch(self, links: Links, size: int, rng: np.random.Generator, augment: bool = True) -> Batch:
-        """``size`` samples: ``inputs``, ``truth``, ``mask`` and ``ray_traced``."""
+    def batch(self, links: Any, size: int, rng: np.random.Generator, augment: bool = True) -> Batch:
+        """``size`` samples drawn from what `load` gave."""
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         """The scalar to minimise."""
 
+    def scores(self, network: nn.Module, batches: list[Batch], autocast: Any) -> dict[str, float]:
+        """Validation scores."""
+
+
+class GainTask:
+    """What tasks share that learn gain maps from the links of a data set."""
+
+    def load(self, data: str, split: str, report: Callable[[dict[str, Any]], None]) -> Links:
+        return load_links(data, split)
+
     def predict(self, network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor]:
         """Mean in dB and log variance, each ``[sample, row, col]``."""
+        raise NotImplementedError
+
+    def scores(self, network: nn.Module, batches: list[Batch], autocast: Any) -> dict[str, float]:
+        return scores_of(self, network, batches, autocast)
 
 
 def stacked(views: list[View]) -> Batch:
@@ -53,7 +71,7 @@ def stacked(views: list[View]) -> Batch:
 
 
 @dataclass(frozen=True)
-class OperatorTask:
+class OperatorTask(GainTask):
     """(city, transmitter) → gain, at all altitudes with one network."""
 
     side: int = 96
@@ -88,7 +106,7 @@ class OperatorTask:
         return mean, log_variance
 
 
-def scores_of(task: Task, network: nn.Module, batches: list[Batch], autocast: Any) -> dict[str, float]:
+def scores_of(task: GainTask, network: nn.Module, batches: list[Batch], autocast: Any) -> dict[str, float]:
     """Validation scores by altitude: RMSE (all cells, ray-traced cells, the rest), NLL, goodness of fit, cover of the 90 % interval."""
     network.eval()
     sums: dict[str, list[Tensor]] = {}

@@ -27,8 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
-from skygain.learning.links import Links, load_links
-from skygain.learning.tasks import Batch, Task, scores_of
+from skygain.learning.tasks import Batch, Task
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     task, folder = config.task, Path(config.out)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "checkpoint.safetensors"
-    links, held_out = load_links(config.data, config.train_split), load_links(config.data, config.validation_split)
+    links, held_out = (task.load(config.data, split, report) for split in (config.train_split, config.validation_split))
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
     torch.manual_seed(config.seed)
@@ -171,7 +170,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
                 losses = []
             if step % config.validate_steps == 0:
                 trial.load_state_dict(average, strict=False)
-                scores = shares.pool.submit(scores_of, task, trial, validation, autocast).result()
+                scores = shares.pool.submit(task.scores, trial, validation, autocast).result()
                 record(**scores)
             if now - saved > config.checkpoint_seconds:
                 save()
@@ -192,7 +191,7 @@ def _stream(seed: int, k: int) -> np.random.Generator:
     return np.random.default_rng([seed, k])
 
 
-def _validation_batches(config: TrainConfig, links: Links) -> list[Batch]:
+def _validation_batches(config: TrainConfig, links: Any) -> list[Batch]:
     count = -(-config.validation_samples // 32)
     return [config.task.batch(links, 32, np.random.default_rng([2**32 - 1, k]), augment=False) for k in range(count)]
 

@@ -6,12 +6,15 @@ __all__ = ["OperatorMaps", "OperatorNetwork", "frequency_shift_db"]
 
 import contextlib
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.scenario import Scenario
+
+if TYPE_CHECKING:
+    from skygain.learning.transmitter_evidence import EvidenceSums
 
 CHUNK = 8
 """positions evaluated together"""
@@ -24,12 +27,14 @@ TRAINED_HZ = 5.0e9
 class OperatorNetwork:
     """The trained network as a plain function of arrays; PyTorch is loaded with it."""
 
-    def __init__(self, weights: Any = "operator", paths: Any = "path-model") -> None:
+    def __init__(self, weights: Any = "operator", paths: Any = "path-model", locator: Any = "locator") -> None:
         from skygain.learning.operator_net import PropagationOperator
         from skygain.learning.path_model import PathModel
         from skygain.learning.weights import load_network, weight_file
 
         self.paths = PathModel.load(weight_file(paths))
+        self._locator: Any = None
+        self._located_by = locator
         self.network = PropagationOperator()
         self.card = load_network(self.network, weights)
         self.profile = bool(self.card.get("recipe", self.card.get("config", {})).get("task", {}).get("profile", True))
@@ -43,9 +48,7 @@ class OperatorNetwork:
         heights, spacing = scenario.city.height_m, scenario.grid.spacing_m
         shift = frequency_shift_db(scenario)
         means, stds = [], []
-        bf16 = torch.backends.mkldnn.is_available() and _has_bf16()
-        context = torch.autocast("cpu", dtype=torch.bfloat16) if bf16 else contextlib.nullcontext()
-        with torch.inference_mode(), context:
+        with torch.inference_mode(), _autocast():
             for first in range(0, len(positions), CHUNK):
                 inputs = operator_inputs(heights, spacing, positions[first : first + CHUNK], altitude_m, self.profile)
                 mean, log_variance = self.network(torch.from_numpy(inputs).to(memory_format=torch.channels_last))
@@ -53,16 +56,31 @@ class OperatorNetwork:
                 stds.append(torch.exp(0.5 * log_variance).flatten(1).numpy())
         return np.concatenate(means), np.concatenate(stds)
 
+    def located(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        """``[row, col]`` probability of every square from the maps of `evidence_channels`."""
+        import torch
+
+        from skygain.learning.locator_net import LocatorNet
+        from skygain.learning.weights import load_network
+
+        if self._locator is None:
+            self._locator = LocatorNet()
+            load_network(self._locator, self._located_by)
+        with torch.inference_mode(), _autocast():
+            inputs = torch.from_numpy(channels[None]).to(memory_format=torch.channels_last)
+            return torch.exp(self._locator(inputs)[0]).numpy().reshape(channels.shape[1:])
+
 
 def frequency_shift_db(scenario: Scenario) -> float:
     """Free-space gain at the scenario's carrier minus that at the trained one."""
     return -20.0 * float(np.log10(scenario.frequency_hz / TRAINED_HZ))
 
 
-def _has_bf16() -> bool:
+def _autocast() -> Any:
     import torch
 
-    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+    bf16 = torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    return torch.autocast("cpu", dtype=torch.bfloat16) if bf16 else contextlib.nullcontext()
 
 
 @dataclass(eq=False)
@@ -100,13 +118,20 @@ class OperatorMaps:
         means[used : used + count] = mean + OFFSET_DB
         stds[used : used + count] = std
 
-    def path_gain(
-        self, positions: NDArray[np.float64], cells: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The path model's (mean, standard deviation) at ``cells[n, (row, col)]``, flight altitude, each ``[cell, position]``."""
+    def path_evidence(self, evidence: EvidenceSums, cells: NDArray[np.int64], gain_db: NDArray[np.float64]) -> EvidenceSums:
+        """``evidence`` after readings ``gain_db[n]`` at ``cells[n, (row, col)]``, flight altitude."""
         s = self.scenario
-        mean, std = self.network.paths.gain(s.city.height_m, s.grid.spacing_m, positions, cells, s.uav_altitude_m)
-        return mean + np.float32(frequency_shift_db(s)), std
+        gain = gain_db - frequency_shift_db(s)
+        return evidence.grown(self.network.paths, s.city.height_m, s.grid.spacing_m, s.uav_altitude_m, cells, gain)
+
+    def transmitter_probability(self, evidence: EvidenceSums) -> NDArray[np.float64]:
+        """``[k]`` probability of every square of the evidence, as the locator sees it."""
+        from skygain.learning.transmitter_evidence import evidence_channels
+
+        s = self.scenario
+        found = self.network.located(evidence_channels(evidence, s.city.height_m, s.grid.spacing_m, s.uav_altitude_m))
+        weight = found.ravel()[evidence.grid.index].astype(float)
+        return weight / weight.sum()
 
     def whole(self, indices: NDArray[np.int64], altitude_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(mean, standard deviation) maps, each ``[k, row * col]``."""

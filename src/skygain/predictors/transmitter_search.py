@@ -1,88 +1,129 @@
-"""Where an unseen transmitter may stand: a quadtree of candidate positions on and around the map.
+"""Where an unseen transmitter may stand: the probability of every square on and around the map, and the candidates that stand for them.
 
-The area within `margin_m` of the map is cut into squares. A square is represented by one position at its middle (the nearest open cell
-where that is built up) and weighs as much as the prior puts on its open ground. Squares that measurements favour are cut into four
-until they are one cell small. The prior on each axis is the one that follows from a map cut at random out of a city that reaches up
-to `margin_m` further: constant over the map, falling linearly to zero over the margin. Nothing is assumed about how
-transmitters are placed in the city.
+The squares (`skygain.learning.transmitter_evidence.PositionGrid`) get their probability from the locator network; before the first reading
+it is the prior, that of a map cut at random out of a city that reaches further: constant over the map, falling linearly to zero over
+the margin, none in buildings. Nothing is assumed about how transmitters are placed in the city.
+
+A gain map can be computed for a few of the squares only, the candidates. Every square is represented by the candidate nearest to it, and a
+candidate's weight is the probability of all it represents. Candidates are added one by one, each where it shortens the mean
+distance between a square and its representative most.
 """
 
 from __future__ import annotations
 
-__all__ = ["Square", "coarse_squares", "split_square"]
+__all__ = ["TransmitterSearch"]
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.scenario import Scenario
 
+if TYPE_CHECKING:
+    from skygain.learning.transmitter_evidence import EvidenceSums
+    from skygain.predictors.operator_maps import OperatorMaps
 
-@dataclass(frozen=True)
-class Square:
-    """One candidate: cells [row, row + side) × [col, col + side), which may lie outside the map."""
+Floats = NDArray[np.float64]
 
-    row: int
-    """southernmost row"""
-    col: int
-    """westernmost column"""
-    side: int
-    """cells along the edge"""
-    position: tuple[float, float]
-    """(row, col) of the representative, possibly between cells"""
-    prior: float
-    """unnormalised prior probability"""
+PROPOSALS = 48
+"""squares among which the next candidate is sought"""
 
 
-def coarse_squares(scenario: Scenario, margin_m: float, side_m: float, at_most: int) -> list[Square]:
-    """Squares of about ``side_m`` (a power of two times the cell) over the map and its margin; larger if more than ``at_most``."""
-    spacing = scenario.grid.spacing_m
-    rows, cols = scenario.grid.shape
-    margin = round(margin_m / spacing)
-    level = max(0, round(np.log2(max(side_m / spacing, 1.0))))
-    while True:
-        side = 2**level
-        pad = -(-margin // side) * side
-        found = [
-            square
-            for row in range(-pad, rows + margin, side)
-            for col in range(-pad, cols + margin, side)
-            if (square := _square(scenario, margin, row, col, side)) is not None
-        ]
-        if len(found) <= at_most:
-            return found
-        level += 1
+@dataclass(frozen=True, eq=False)
+class TransmitterSearch:
+    """What is known about the transmitter. Growing it leaves older searches valid."""
+
+    evidence: EvidenceSums
+    """of every square"""
+    probability: Floats
+    """``[k]`` of every square, summing to 1"""
+    chosen: NDArray[np.int64]
+    """``[c]`` squares that are candidates"""
+    nearest: NDArray[np.int64]
+    """``[k]`` candidate that represents each square"""
+    distance_m: Floats
+    """``[k]`` to it"""
+    spacing_m: float
+    """side of a cell"""
+
+    @classmethod
+    def begun(
+        cls,
+        scenario: Scenario,
+        *,
+        margin_m: float,
+        fine_m: float,
+        fine_at_most: int,
+        coarse_m: float,
+        at_most: int,
+        height_z_m: float,
+    ) -> TransmitterSearch:
+        """Before the first reading, with evenly spread candidates."""
+        from skygain.learning.transmitter_evidence import EvidenceSums, PositionGrid
+
+        spacing, heights = scenario.grid.spacing_m, scenario.city.height_m
+        side = max(1, round(fine_m / spacing))
+        grid = PositionGrid.over(heights, spacing, margin_m, side, height_z_m)
+        while len(grid.index) > fine_at_most:
+            side *= 2
+            grid = PositionGrid.over(heights, spacing, margin_m, side, height_z_m)
+        step = max(1, round(coarse_m / (side * spacing)))
+        chosen = _spread(grid.index, grid.shape, step)
+        while len(chosen) > at_most:
+            step += max(1, step // 2)
+            chosen = _spread(grid.index, grid.shape, step)
+        place = grid.position[:, :2] * spacing
+        apart = np.hypot(*(place[:, None] - place[chosen][None]).transpose(2, 0, 1))
+        nearest = apart.argmin(axis=1)
+        distance = apart[np.arange(len(place)), nearest]
+        return cls(EvidenceSums.none(grid), grid.prior / grid.prior.sum(), chosen, nearest, distance, spacing)
+
+    def positions(self, squares: NDArray[np.int64]) -> list[tuple[float, ...]]:
+        """(row, col, z) of ``squares``."""
+        return [tuple(p) for p in self.evidence.grid.position[squares].tolist()]
+
+    def weights(self) -> Floats:
+        """``[c]`` probability of each candidate."""
+        return np.bincount(self.nearest, self.probability, minlength=len(self.chosen)).astype(float)
+
+    def spread_m(self) -> Floats:
+        """``[c]`` root mean squared distance between each candidate and what it represents."""
+        mass = self.weights()
+        square = np.bincount(self.nearest, self.probability * self.distance_m**2, minlength=len(self.chosen))
+        return np.sqrt(square / np.maximum(mass, 1e-300))
+
+    def grown(self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, sharpen: float) -> TransmitterSearch:
+        """After readings ``gain_db[m]`` at ``cells[m, (row, col)]``; the locator's answer is raised to the power ``sharpen``."""
+        evidence = maps.path_evidence(self.evidence, cells, gain_db)
+        weight = maps.transmitter_probability(evidence) ** sharpen
+        return replace(self, evidence=evidence, probability=weight / weight.sum())
+
+    def refined(self, count: int, gain_m: float) -> TransmitterSearch:
+        """With up to ``count`` more candidates, each shortening the mean distance by at least ``gain_m``."""
+        place = self.evidence.grid.position[:, :2] * self.spacing_m
+        chosen, nearest, distance = self.chosen, self.nearest, self.distance_m
+        for _ in range(count):
+            proposals = np.argsort(-self.probability * distance, kind="stable")[:PROPOSALS]
+            apart = np.hypot(*(place[proposals, None] - place[None]).transpose(2, 0, 1))
+            gains = np.maximum(distance - apart, 0.0) @ self.probability
+            best = int(np.argmax(gains))
+            if gains[best] < gain_m:
+                break
+            closer = apart[best] < distance
+            nearest = np.where(closer, len(chosen), nearest)
+            distance = np.where(closer, apart[best], distance)
+            chosen = np.append(chosen, proposals[best])
+        return replace(self, chosen=chosen, nearest=nearest, distance_m=distance)
 
 
-def split_square(scenario: Scenario, margin_m: float, square: Square) -> list[Square]:
-    """The up to four quarters of ``square`` that have open ground; empty for a single cell."""
-    if square.side == 1:
-        return []
-    margin, half = round(margin_m / scenario.grid.spacing_m), square.side // 2
-    quarters = [_square(scenario, margin, square.row + r, square.col + c, half) for r in (0, half) for c in (0, half)]
-    return [quarter for quarter in quarters if quarter is not None]
-
-
-def _square(scenario: Scenario, margin: int, row: int, col: int, side: int) -> Square | None:
-    shape = scenario.grid.shape
-    r, c = np.arange(row, row + side), np.arange(col, col + side)
-    weight = _axis_prior(r, shape[0], margin)[:, None] * _axis_prior(c, shape[1], margin)
-    on_map = ((r >= 0) & (r < shape[0]))[:, None] & ((c >= 0) & (c < shape[1]))
-    if on_map.any():
-        height = scenario.city.height_m[np.clip(r, 0, shape[0] - 1)[:, None], np.clip(c, 0, shape[1] - 1)]
-        weight = np.where(on_map & (height > 0), 0.0, weight)
-    prior = float(weight.sum())
-    if prior <= 0:
-        return None
-    middle = np.array([row, col]) + (side - 1) / 2
-    nearest = np.floor(middle).astype(int) - (row, col)
-    if weight[tuple(nearest)] <= 0 or (weight == 0).any():
-        open_cells = np.argwhere(weight > 0) + np.array([row, col])
-        middle = open_cells[np.argmin(((open_cells - middle) ** 2).sum(axis=1))].astype(float)
-    return Square(row, col, side, (float(middle[0]), float(middle[1])), prior)
-
-
-def _axis_prior(index: NDArray[np.int64], length: int, margin: int) -> NDArray[np.float64]:
-    beyond = np.maximum(np.maximum(-index, index - (length - 1)), 0)
-    return np.clip(1.0 - beyond / (margin + 1), 0.0, 1.0)
+def _spread(index: NDArray[np.int64], shape: tuple[int, int], step: int) -> NDArray[np.int64]:
+    """One of the squares ``index`` (raveled, of ``shape``) out of every ``step`` × ``step`` of them, that nearest to the middle."""
+    row, col = np.divmod(index, shape[1])
+    block = (row // step) * (shape[1] // step + 1) + col // step
+    middle = (step - 1) / 2
+    away = (row % step - middle) ** 2 + (col % step - middle) ** 2
+    order = np.lexsort((away, block))
+    _, first = np.unique(block[order], return_index=True)
+    return np.sort(order[first])
