@@ -1,6 +1,6 @@
 """Planners: speed of the exact joint planner and of sequential greedy, its quality against exhaustion, and its certificates.
 
-    python benchmarks/planning.py DATA.zarr.zip [--quick]
+    python benchmarks/planning.py DATA.zarr.zip [--quick] [--only SECTION]
 
 measures
 1. entropy value iteration (P3) against the dense NumPy reference of `dense_value_iteration.py`, and at its own sizes;
@@ -10,7 +10,7 @@ measures
 
 Everything runs in one thread and is timed in CPU seconds after a warm-up call (compilation): what the wall clock shows on an idle
 machine, whatever else is running. DATA gives the cities (split T2).
-Tables and numbers go to benchmarks/results/planning.md and .json.
+Tables and numbers go to benchmarks/results/planning.md and .json. ``--only`` measures one section again and keeps the others.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import os
 import platform
 import resource
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -320,20 +321,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
     parser.add_argument("--quick", action="store_true", help="smaller sizes, to see that it runs")
-    options = parser.parse_args()
-    found = {
-        "machine": f"{platform.machine()}, {platform.processor() or 'unknown processor'}, Python {platform.python_version()}",
-        "exhaustion": exhaustion(options.quick),
-        "certificates": certificates(options.data, options.quick),
-        "decisions": decisions(options.data, options.quick),
-        "value_iteration": value_iteration(options.quick),
+    sections: dict[str, Callable[[], Any]] = {
+        "exhaustion": lambda: exhaustion(options.quick),
+        "certificates": lambda: certificates(options.data, options.quick),
+        "decisions": lambda: decisions(options.data, options.quick),
+        "value_iteration": lambda: value_iteration(options.quick),
     }
-    text = report(found)
-    if not options.quick:
-        RESULTS.mkdir(exist_ok=True)
-        (RESULTS / "planning.json").write_text(json.dumps(found, indent=1) + "\n")
-        (RESULTS / "planning.md").write_text(f"# Planning\n\n{text}\n")
-    print(text)
+    parser.add_argument("--only", choices=sections)
+    options = parser.parse_args()
+    file = RESULTS / "planning.json"
+    found = json.loads(file.read_text()) if options.only and file.exists() else {}
+    found["machine"] = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    for name in [options.only] if options.only else sections:
+        found[name] = sections[name]()
+        if not options.quick:
+            file.write_text(json.dumps(found, indent=1) + "\n")
+    if sections.keys() <= found.keys():
+        text = report(found)
+        if not options.quick:
+            (RESULTS / "planning.md").write_text(f"# Planning\n\n{text}\n")
+        print(text)
 
 
 if __name__ == "__main__":

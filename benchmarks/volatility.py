@@ -70,7 +70,8 @@ def main() -> None:
 
     won = score(flat) - score(scale)
     middle, ratio = fitted(rows)
-    lines = ["| predicted gain, dB | squared error / variance |", "|---|---|"]
+    lines = [f"{options.surveys} training surveys, random waypoints and lawnmower, {', '.join(map(str, STEPS))} steps.", ""]
+    lines += ["| predicted gain, dB | squared error / variance |", "|---|---|"]
     lines += [f"| {m:.1f} | {r:.2f} |" for m, r in zip(middle, ratio, strict=True)]
     text = "\n".join(lines) + f"\n\nOn held-out cities the scaled variance wins {won:.3f} nats per cell over a constant factor.\n"
     (Path(__file__).parent / "results" / "volatility.md").write_text(f"# Volatility by predicted gain\n\n{text}")
