@@ -306,6 +306,31 @@ def train_kriging_command(
     print(train_kriging(data, out))
 
 
+@train_app.command("policy")
+def train_policy_command(
+    recipe: Annotated[str, typer.Option(help="paper-dqn, dqn or imitation.")],
+    data: Annotated[Path, typer.Option(help="Data set; the recipe says which split is flown in.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run, continued if it exists; by default in the user's cache.")
+    ] = None,
+    minutes: Annotated[float | None, typer.Option(help="Pause after this long; the same command goes on later.")] = None,
+    start_from: Annotated[str | None, typer.Option(help="Weight file to begin a DQN from.")] = None,
+) -> None:
+    """Train a policy by recipe; can be killed at any time and goes on where it stopped. The planner of that name finds the weights."""
+    from skygain.learning import train_policy
+
+    changes: dict[str, object] = {} if minutes is None else {"max_seconds": 60 * minutes}
+    if start_from is not None:
+        changes["start_from"] = start_from
+    result = train_policy(recipe, data, out, report=_say, **changes)
+    print(f"{result.step} steps, {result.seconds / 60:.0f} minutes; scores {result.scores}")
+
+
+def _say(record: dict[str, object]) -> None:
+    """A line of a run's log, for people."""
+    print("  ".join(f"{key} {value}" for key, value in record.items()), file=sys.stderr, flush=True)
+
+
 @train_app.command("predictor")
 def train_predictor_command(
     recipe: Annotated[str, typer.Option(help="operator, unet, paper-unet, paper-unet-mapblind, …")],
@@ -318,9 +343,6 @@ def train_predictor_command(
     """Train a network by recipe; can be killed at any time and goes on where it stopped. The predictor of that name finds the weights."""
     from skygain.learning import train_predictor
 
-    def say(record: dict[str, object]) -> None:
-        print("  ".join(f"{key} {value}" for key, value in record.items()), file=sys.stderr, flush=True)
-
     limit = {} if minutes is None else {"max_seconds": 60 * minutes}
-    result = train_predictor(recipe, data, out, report=say, **limit)
+    result = train_predictor(recipe, data, out, report=_say, **limit)
     print(f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores {result.scores}")

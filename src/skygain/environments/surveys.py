@@ -131,6 +131,11 @@ class SurveyBatch:
         """``[survey]`` where the UAVs are now."""
         return [lane.swarm for lane in self._lanes]
 
+    @property
+    def readings_db(self) -> NDArray[np.float32]:
+        """``[survey, uav]`` the gain where each UAV is."""
+        return np.stack([lane.world.truth_db[tuple(lane.swarm.cells.T)] for lane in self._lanes])
+
     def observations(self) -> NDArray[np.float32]:
         """``[survey, uav, plane, row, col]``, see `skygain.environments.observation`."""
         n = self.config.n_uavs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["train_predictor"]
+__all__ = ["train_policy", "train_predictor"]
 
 from typing import Any
 
@@ -12,3 +12,10 @@ def train_predictor(*arguments: Any, **options: Any) -> Any:
     from skygain.learning import recipes
 
     return recipes.train_predictor(*arguments, **options)
+
+
+def train_policy(*arguments: Any, **options: Any) -> Any:
+    """See `skygain.learning.policy_recipes.train_policy`; PyTorch is loaded when this is called."""
+    from skygain.learning import policy_recipes
+
+    return policy_recipes.train_policy(*arguments, **options)

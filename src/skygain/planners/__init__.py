@@ -18,6 +18,9 @@ PLANNERS.register("entropy-vi-conditioned", "skygain.planners.entropy_value_iter
 PLANNERS.register("independent-greedy", "skygain.planners.sequential_greedy:independent_greedy_planner")
 PLANNERS.register("sequential-greedy", "skygain.planners.sequential_greedy:SequentialGreedyPlanner")
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
+PLANNERS.register("lookahead", "skygain.planners.lookahead:LookaheadPlanner")
+PLANNERS.register("dqn", "skygain.planners.learned:dqn_planner")
+PLANNERS.register("imitation", "skygain.planners.learned:imitation_planner")
 PLANNERS.register("mcts", "skygain.planners.sequential_greedy:tree_search_planner")
 
 

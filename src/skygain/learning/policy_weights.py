@@ -1,0 +1,71 @@
+"""Weight files of policies: half precision, large dense layers in bytes.
+
+The paper's policy network has 19 million weights, 99 % of them in one dense layer. Stored as bytes with one scale per output,
+w ≈ scale · q with q from −127 to 127, they take 19 MB instead of 76, and an output moves by at most half a step of 1/127 of the largest
+weight of its row per unit of input.
+"""
+
+from __future__ import annotations
+
+__all__ = ["export_policy", "load_policy"]
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from skygain.errors import InputError
+from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.q_network import policy_network
+from skygain.learning.weights import find_weights
+
+BYTES_FROM = 1_000_000
+"""matrices with at least so many entries are stored as bytes"""
+SCALE = ".scale"
+
+
+def export_policy(state: dict[str, Tensor], path: Path, card: dict[str, Any]) -> None:
+    """Write the weights ``state`` with ``card`` (its key ``policy`` describes the network) to ``path``, and the card as JSON beside it."""
+    tensors = {}
+    for key, value in state.items():
+        if value.ndim == 2 and value.numel() >= BYTES_FROM:
+            scale = value.abs().amax(dim=1).clamp(min=1e-12) / 127
+            tensors[key], tensors[key + SCALE] = torch.round(value / scale[:, None]).to(torch.int8), scale
+        else:
+            tensors[key] = value.to(torch.float16).contiguous()
+    save_checkpoint(path, tensors, card)
+    path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
+
+
+def load_policy(weights: str | Path) -> tuple[nn.Module, Tensor | None]:
+    """A trained policy by name or file: the network, and the support of its returns (``None`` for an imitator).
+
+    Raises:
+        InputError: there are no such weights, or the file is no policy's.
+    """
+    path = Path(weights)
+    if path.suffix != ".safetensors":
+        try:
+            path = find_weights(str(weights))
+        except InputError:
+            raise InputError(
+                f"the policy {str(weights)!r} does not ship with this version and was not trained here; make it with: "
+                f"skygain train policy --recipe {weights} --data CITIES.zarr.zip"
+            ) from None
+    tensors, card = load_checkpoint(path)
+    if "policy" not in card:
+        raise InputError(f"{path} holds no policy; give a file written by `skygain train policy`")
+    shape = card["policy"]
+    network = policy_network(shape)
+    state = {key: value.float() for key, value in tensors.items() if not key.endswith(SCALE)}
+    for key, value in tensors.items():
+        if key.endswith(SCALE):
+            state[key.removesuffix(SCALE)] *= value[:, None]
+    missing, unexpected = network.load_state_dict(state, strict=False)
+    if missing or unexpected:
+        raise InputError(f"{path} does not fit its network (first mismatch: {(missing + unexpected)[0]}); export it again")
+    network.eval()
+    z = None if shape["atoms"] == 1 else torch.linspace(shape["v_min"], shape["v_max"], shape["atoms"])
+    return network, z

@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from skygain.errors import InputError
+from skygain.learning.dqn import DqnConfig, train_dqn
+from skygain.learning.imitation import ImitationConfig, train_imitation
+from skygain.learning.policy_inputs import SYMMETRIES, Seen, centred_view, turned_moves, turned_view
+from skygain.learning.policy_recipes import train_policy
+from skygain.learning.policy_weights import export_policy, load_policy
+from skygain.learning.q_network import policy_network
+from skygain.planners import create_planner
+from skygain.swarm import MOVES
+
+SMALL = DqnConfig(
+    predictor="idw",
+    network="centred",
+    double=True,
+    dueling=True,
+    side=32,
+    steps=8,
+    lanes=2,
+    n_uavs=2,
+    split="T1",
+    n_steps=3,
+    warmup=24,
+    capacity=80,
+    batch_size=8,
+    learn_every=2,
+    target_every=5,
+    exploration=0.2,
+    checkpoint_steps=12,
+    log_steps=6,
+    augment=True,
+    bf16=False,
+)
+
+
+def tensors(result):
+    from skygain.learning.checkpoints import load_checkpoint
+
+    return load_checkpoint(result.checkpoint)[0]
+
+
+def test_a_resumed_dqn_run_ends_with_the_same_weights(tmp_path):
+    whole = train_dqn(replace(SMALL, out=str(tmp_path / "whole"), total_steps=45))
+    train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=29))  # in the middle of an episode, the ring full
+    parts = train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=45))
+    assert parts.updates == whole.updates > 10
+    one, two = tensors(whole), tensors(parts)
+    assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+@pytest.fixture
+def seen(rng):
+    shape = (5, 20, 23)
+    return Seen(
+        mean=rng.integers(0, 256, shape).astype(np.uint8),
+        std=rng.integers(0, 256, shape).astype(np.uint8),
+        height=rng.integers(0, 256, shape).astype(np.uint8),
+        flyable=rng.random(shape) < 0.7,
+        cells=rng.integers(0, 20, (5, 3, 2)),
+        uav=rng.integers(0, 3, 5),
+        last=rng.integers(-1, 4, 5),
+        left=rng.integers(0, 200, 5),
+    )
+
+
+def turned_survey(seen, symmetry):
+    """The same survey on the turned map."""
+    rows, cols = seen.mean.shape[1:]
+
+    def turned(maps):
+        maps = maps[:, :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+        return np.ascontiguousarray(maps.transpose(0, 2, 1) if symmetry & 4 else maps)
+
+    cells = seen.cells.copy()
+    if symmetry & 1:
+        cells[..., 0] = rows - 1 - cells[..., 0]
+    if symmetry & 2:
+        cells[..., 1] = cols - 1 - cells[..., 1]
+    last = np.where(seen.last >= 0, turned_moves(symmetry)[seen.last], -1)
+    return replace(
+        seen,
+        mean=turned(seen.mean),
+        std=turned(seen.std),
+        height=turned(seen.height),
+        flyable=turned(seen.flyable),
+        cells=cells[..., ::-1] if symmetry & 4 else cells,
+        last=last,
+    )
+
+
+@pytest.mark.parametrize("symmetry", range(SYMMETRIES))
+def test_the_view_turns_with_the_survey(seen, symmetry):
+    for one, two in zip(turned_view(centred_view(seen), symmetry), centred_view(turned_survey(seen, symmetry)), strict=True):
+        assert np.allclose(one, two, atol=1e-6)
+
+
+@pytest.mark.parametrize("symmetry", range(SYMMETRIES))
+def test_moves_turn_like_cells(symmetry):
+    cells = np.array([[5, 5]] * 4) + MOVES
+    if symmetry & 1:
+        cells[:, 0] = 10 - cells[:, 0]
+    if symmetry & 2:
+        cells[:, 1] = 10 - cells[:, 1]
+    if symmetry & 4:
+        cells = cells[:, ::-1]
+    assert np.array_equal(cells - 5, MOVES[turned_moves(symmetry)])
+
+
+def test_the_paper_network_has_the_table_sizes():
+    network = policy_network({"network": "paper", "atoms": 40, "side": 96, "dueling": False})
+    shapes = [
+        tuple(m(torch.zeros(1, 5, 96, 96)).shape[1:]) for m in (network.features[:1], network.features[:3], network.features)
+    ]
+    assert shapes == [(64, 48, 48), (128, 24, 24), (256, 12, 12)]
+    assert [m.out_features for m in network.head if hasattr(m, "out_features")] == [512, 256, 40, 160]
+
+
+def test_weights_as_bytes_leave_the_decisions_alone(tmp_path, rng):
+    torch.manual_seed(0)
+    shape = {"network": "paper", "atoms": 5, "side": 48, "dueling": False}
+    network = policy_network(shape)
+    path = tmp_path / "policy.safetensors"
+    export_policy(network.state_dict(), path, {"policy": {**shape, "v_min": 0.0, "v_max": 1.0}})
+    loaded, z = load_policy(path)
+    assert path.stat().st_size < 0.3 * sum(4 * p.numel() for p in network.parameters())
+    x = torch.from_numpy(rng.random((50, 5, 48, 48), dtype=np.float32))
+    with torch.no_grad():
+        one, two = (torch.softmax(net(x), -1) @ z for net in (network, loaded))
+    assert (one - two).abs().max() < 0.05 * (one.max(1).values - one.min(1).values).mean()
+
+
+def test_dqn_recipe_makes_a_planner(tmp_path):
+    settings = {
+        k: getattr(SMALL, k) for k in ("predictor", "side", "steps", "lanes", "n_uavs", "warmup", "capacity", "batch_size")
+    }
+    train_policy("dqn", "sample", tmp_path, total_steps=30, **settings)
+    from skygain.predictors import create_predictor
+    from skygain.testing.planners import check_planner, planner_scenarios
+
+    planner = create_planner("dqn", weights=str(tmp_path / "dqn.safetensors"), symmetries=2)
+    settings = [planner_scenarios()[k] for k in (3, 6, 9)]  # empty batteries, everyone returns, no move at all
+    check_planner(planner, create_predictor("idw"), settings=settings)
+
+
+def test_imitation_resumes_and_learns_from_its_own_flights(tmp_path):
+    config = ImitationConfig(
+        predictors=("idw",),
+        expert="random-waypoint:repeat_probability=1.0",
+        side=32,
+        steps=16,
+        surveys=(4, 3),
+        updates=(30, 20),
+        held_out=1,
+        batch_size=16,
+        workers=1,
+        checkpoint_steps=10,
+    )
+    whole = train_imitation(replace(config, out=str(tmp_path / "whole")))
+    train_imitation(replace(config, out=str(tmp_path / "parts"), surveys=(4,), updates=(30,)))
+    parts = train_imitation(replace(config, out=str(tmp_path / "parts")))
+    one, two = tensors(whole), tensors(parts)
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert whole.scores["agreement"] > 0.5  # straight on is easily learned: the last move is part of the view
+
+
+def test_unknown_recipes_settings_and_weights_are_refused(tmp_path):
+    with pytest.raises(InputError, match="known: dqn, imitation, paper-dqn"):
+        train_policy("a3c", "sample", tmp_path)
+    with pytest.raises(InputError, match="no setting 'start_from'"):
+        train_policy("imitation", "sample", tmp_path, start_from="x")
+    with pytest.raises(InputError, match="train policy --recipe nothing"):
+        load_policy("nothing")
