@@ -5,10 +5,10 @@ import pytest
 
 from skygain.city import City
 from skygain.grid import Grid
-from skygain.planners.flight import Airspace, followed, is_free_step, legal_moves, resolve_step
+from skygain.planners.flight import Airspace, distances_within, followed, is_free_step, legal_moves, resolve_step
 from skygain.scenario import Scenario
 from skygain.starts import spread_start
-from skygain.swarm import MOVES, FlightRules, Swarm
+from skygain.swarm import MOVES, FlightRules, Swarm, steps_between
 
 RULES = [
     FlightRules(),
@@ -89,3 +89,14 @@ def test_everyone_gets_home_from_a_narrow_start():
     paths = followed(swarm, routes, 24)
     swarm.check(paths)
     assert (paths[:, -1] == swarm.cells).all()
+
+
+def test_distances_within_a_few_steps_are_those_of_the_whole_map(rng):
+    """Looking only at the window that can be reached changes nothing, at the map's edge either."""
+    for _ in range(20):
+        free = rng.random((15, 20)) > 0.3
+        start = rng.integers([15, 20])
+        free[tuple(start)] = True
+        steps = int(rng.integers(1, 9))
+        whole = steps_between(free, start)
+        np.testing.assert_array_equal(distances_within(free, start, steps), np.where(whole <= steps, whole, -1))
