@@ -38,6 +38,9 @@ LOCATOR = TrainConfig(
     task=LocatorTask(), data="", out="", batch_size=32, learning_rate=2e-3, weight_decay=2e-2, hold_steps=600, validate_steps=200
 )
 
+PAPER_BITS = 4
+"""of the dense layers' weights when a paper U-Net is exported"""
+
 RECIPES: dict[str, TrainConfig] = {
     "operator": OURS,
     "operator-no-profile": replace(OURS, task=OperatorTask(profile=False)),
@@ -84,5 +87,7 @@ def train_predictor(
     if name == "path-model":
         return train_path_model(data, weights, report=report, **changes)
     result = train(replace(recipe(name), data=str(data), out=str(folder), **changes), report)
-    export_weights(result.checkpoint, weights, {"name": name, "data": Path(data).name, "precision": "float16"})
+    bits = PAPER_BITS if name.startswith("paper-unet") else 0
+    precision = f"float16, the dense layers {bits} bits" if bits else "float16"
+    export_weights(result.checkpoint, weights, {"name": name, "data": Path(data).name, "precision": precision}, bits)
     return result

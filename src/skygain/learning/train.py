@@ -54,6 +54,9 @@ class TrainConfig:
     """steps over which the learning rate rises from 0"""
     hold_steps: int = 4000
     """from here on the rate falls with 1/√(step / hold_steps); no end need be known in advance"""
+    finish_steps: int = 0
+    """if positive, the rate falls linearly to 0 over so many steps from where the run stands, and the run ends; what constant rates
+    leave undecided settles then"""
     average_decay: float = 0.998
     """decay per step of the moving average of the weights, which is what is validated and shipped; 0 for none"""
     clip_norm: float = 1.0
@@ -114,22 +117,28 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     )
     average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
     step, seconds, scores = 0, 0.0, {}
+    finish: list[int] | None = None
     if path.exists():
         tensors, meta = load_checkpoint(path)
-        step, seconds, scores = meta["step"], meta["seconds"], meta["scores"]
+        step, seconds, scores, finish = meta["step"], meta["seconds"], meta["scores"], meta.get("finish")
         network.load_state_dict(_under("network.", tensors))
         _restore_optimiser(optimiser, _under("optimiser.", tensors))
         average = {key: value.to(device) for key, value in _under("average.", tensors).items()}
     elif config.start_from:
         network.load_state_dict(_under("average.", load_checkpoint(Path(config.start_from))[0]), strict=False)
         average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
+    if finish is None and config.finish_steps:
+        finish = [step, config.finish_steps]
+    end = config.total_steps if finish is None else sum(finish)
+    # The average must forget what was before the rate fell.
+    average_decay = config.average_decay if finish is None else min(config.average_decay, max(0.0, 1.0 - 10.0 / finish[1]))
     (folder / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))
 
     autocast = functools.partial(torch.autocast, device.type, dtype=torch.bfloat16, enabled=config.bf16)
     trial = task.network().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trial.load_state_dict(network.state_dict())
     validation = [_to(batch, device) for batch in _validation_batches(config, held_out)]
-    rate_of = functools.partial(_learning_rate, config)
+    rate_of = functools.partial(_learning_rate, config, finish)
 
     def record(**values: Any) -> None:
         line = {"step": step, "samples": step * config.batch_size, "seconds": round(seconds, 1), **values}
@@ -141,7 +150,8 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         tensors = {f"network.{k}": v for k, v in network.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in average.items()}
         tensors |= {f"optimiser.{k}": v for k, v in _optimiser_tensors(optimiser).items()}
-        save_checkpoint(path, tensors, {"step": step, "seconds": seconds, "scores": scores, "config": _plain(asdict(config))})
+        meta = {"step": step, "seconds": seconds, "scores": scores, "finish": finish}
+        save_checkpoint(path, tensors, {**meta, "config": _plain(asdict(config))})
 
     network.train()
     threads = torch.get_num_threads()
@@ -150,9 +160,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     shares = _Shares(task, network, config.workers if device.type == "cpu" else 1, autocast, device)
     begun, saved, losses = time.monotonic(), time.monotonic(), []
     earlier = seconds
-    with _prefetched(
-        lambda k: task.batch(links, config.batch_size, _stream(config.seed, k)), step, config.total_steps
-    ) as batches:
+    with _prefetched(lambda k: task.batch(links, config.batch_size, _stream(config.seed, k)), step, end) as batches:
         for batch in batches:
             for group in optimiser.param_groups:
                 group["lr"] = rate_of(step)
@@ -161,14 +169,14 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
                 nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm)
             optimiser.step()
             step += 1
-            _follow(average, network, min(config.average_decay, step / (step + 10)))
+            _follow(average, network, min(average_decay, step / (step + 10)))
             losses.append(loss)
             now = time.monotonic()
             seconds = earlier + now - begun
             if step % 50 == 0:
                 record(loss=round(float(torch.stack(losses).mean()), 5), rate=rate_of(step))
                 losses = []
-            if step % config.validate_steps == 0:
+            if step % config.validate_steps == 0 or (finish is not None and step == end):
                 trial.load_state_dict(average, strict=False)
                 scores = shares.pool.submit(task.scores, trial, validation, autocast).result()
                 record(**scores)
@@ -182,9 +190,10 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     return Result(step, step * config.batch_size, seconds, scores, path)
 
 
-def _learning_rate(config: TrainConfig, step: int) -> float:
+def _learning_rate(config: TrainConfig, finish: list[int] | None, step: int) -> float:
     rise = min(1.0, (step + 1) / max(config.warmup_steps, 1))
-    return config.learning_rate * rise * min(1.0, (config.hold_steps / max(step, 1)) ** 0.5)
+    fall = 1.0 if finish is None else max(0.0, 1.0 - (step - finish[0]) / finish[1])
+    return config.learning_rate * rise * fall * min(1.0, (config.hold_steps / max(step, 1)) ** 0.5)
 
 
 def _stream(seed: int, k: int) -> np.random.Generator:

@@ -18,7 +18,10 @@ from torch import nn
 
 from skygain.errors import InputError
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.quantised import dequantised, quantised
 
+LARGE = 1_000_000
+"""weights beyond which a matrix is worth quantising"""
 PACKAGE_WEIGHTS = Path(__file__).parents[1] / "data" / "weights"
 
 
@@ -47,10 +50,21 @@ def weight_file(name: str | Path) -> Path:
     return Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
 
 
-def export_weights(checkpoint: Path, path: Path, card: dict[str, Any]) -> None:
-    """Write the averaged weights of a run as a float16 weight file with ``card`` in its header, and the card as JSON beside it."""
+def export_weights(checkpoint: Path, path: Path, card: dict[str, Any], bits: int = 0) -> None:
+    """Write the averaged weights of a run as a float16 weight file with ``card`` in its header, and the card as JSON beside it.
+
+    With ``bits`` 4 or 8, matrices of more than a million weights are quantised.
+    """
     tensors, meta = load_checkpoint(checkpoint)
-    half = {key.removeprefix("average."): value.to(torch.float16) for key, value in tensors.items() if key.startswith("average.")}
+    half: dict[str, torch.Tensor] = {}
+    for key, value in tensors.items():
+        name = key.removeprefix("average.")
+        if key == name:
+            continue
+        if bits and value.ndim == 2 and value.numel() > LARGE:
+            half |= quantised(name, value, bits)
+        else:
+            half[name] = value.to(torch.float16)
     card = {**card, "steps": meta["step"], "training_seconds": round(meta["seconds"]), "scores": meta["scores"], **_recipe(meta)}
     save_checkpoint(path, half, card)
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
@@ -62,6 +76,7 @@ def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
     tensors, card = load_checkpoint(path)
     if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
         tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}
+    tensors = dequantised(tensors)
     state = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     missing, unexpected = network.load_state_dict(state, strict=False)
     missing = [key for key in missing if not key.endswith("num_batches_tracked")]

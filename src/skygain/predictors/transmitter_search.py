@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-PROPOSALS = 48
+PROPOSALS = 24
 """squares among which the next candidate is sought"""
+NEGLIGIBLE = 0.1
+"""squares with less than this share of the mean probability do not matter where the next candidate goes"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class TransmitterSearch:
             step += max(1, step // 2)
             chosen = _spread(grid.index, grid.shape, step)
         place = grid.position[:, :2] * spacing
-        apart = np.hypot(*(place[:, None] - place[chosen][None]).transpose(2, 0, 1))
+        apart = _apart(place, place[chosen])
         nearest = apart.argmin(axis=1)
         distance = apart[np.arange(len(place)), nearest]
         return cls(EvidenceSums.none(grid), grid.prior / grid.prior.sum(), chosen, nearest, distance, spacing)
@@ -104,18 +106,25 @@ class TransmitterSearch:
         """With up to ``count`` more candidates, each shortening the mean distance by at least ``gain_m``."""
         place = self.evidence.grid.position[:, :2] * self.spacing_m
         chosen, nearest, distance = self.chosen, self.nearest, self.distance_m
+        likely = np.flatnonzero(self.probability > NEGLIGIBLE / len(self.probability))
+        probability, likely_place = self.probability[likely], place[likely]
         for _ in range(count):
-            proposals = np.argsort(-self.probability * distance, kind="stable")[:PROPOSALS]
-            apart = np.hypot(*(place[proposals, None] - place[None]).transpose(2, 0, 1))
-            gains = np.maximum(distance - apart, 0.0) @ self.probability
+            proposals = likely[np.argsort(-probability * distance[likely], kind="stable")[:PROPOSALS]]
+            gains = np.maximum(distance[likely] - _apart(place[proposals], likely_place), 0.0) @ probability
             best = int(np.argmax(gains))
             if gains[best] < gain_m:
                 break
-            closer = apart[best] < distance
+            apart = _apart(place[proposals[best]][None], place)[0]
+            closer = apart < distance
             nearest = np.where(closer, len(chosen), nearest)
-            distance = np.where(closer, apart[best], distance)
+            distance = np.where(closer, apart, distance)
             chosen = np.append(chosen, proposals[best])
         return replace(self, chosen=chosen, nearest=nearest, distance_m=distance)
+
+
+def _apart(one: Floats, other: Floats) -> Floats:
+    """``[a, b]`` distance in m between points ``one[a, (row, col)]`` and ``other[b, (row, col)]`` in m."""
+    return np.sqrt((one[:, None, 0] - other[None, :, 0]) ** 2 + (one[:, None, 1] - other[None, :, 1]) ** 2)
 
 
 def _spread(index: NDArray[np.int64], shape: tuple[int, int], step: int) -> NDArray[np.int64]:
