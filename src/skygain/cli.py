@@ -295,6 +295,21 @@ def dataset_info(path: Annotated[Path, typer.Argument(help="A data set, PATH.zar
     print(describe_dataset(path))
 
 
+@app.command("export-onnx")
+def export_onnx_command(
+    network: Annotated[str, typer.Argument(help="operator, locator, unet, paper-unet or paper-unet-mapblind.")],
+    out: Annotated[Path, typer.Argument(help="File to write.")],
+    weights: Annotated[Path | None, typer.Option(help="Weight file; by default the shipped one of that name.")] = None,
+    rows: Annotated[int, typer.Option(help="Rows of the map.")] = 96,
+    cols: Annotated[int, typer.Option(help="Columns of the map.")] = 96,
+) -> None:
+    """Write a trained network as ONNX, for computers on board without PyTorch; checked against PyTorch before it is written."""
+    from skygain.learning.onnx_export import export_onnx
+
+    worst = export_onnx(network, out, weights=weights, shape=(rows, cols))
+    print(f"wrote {out}; largest difference to PyTorch {worst:.1e} dB")
+
+
 @train_app.command("kriging")
 def train_kriging_command(
     data: Annotated[Path, typer.Option(help="Data set whose T1 split to fit.")],
@@ -339,10 +354,15 @@ def train_predictor_command(
         Path | None, typer.Option(help="Folder of the run, continued if it exists; by default in the user's cache.")
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Pause after this long; the same command goes on later.")] = None,
+    finish: Annotated[
+        int | None, typer.Option(help="End the run: the learning rate falls to 0 over so many more steps.", min=1)
+    ] = None,
 ) -> None:
     """Train a network by recipe; can be killed at any time and goes on where it stopped. The predictor of that name finds the weights."""
     from skygain.learning import train_predictor
 
-    limit = {} if minutes is None else {"max_seconds": 60 * minutes}
-    result = train_predictor(recipe, data, out, report=_say, **limit)
+    changes: dict[str, object] = {} if minutes is None else {"max_seconds": 60 * minutes}
+    if finish is not None:
+        changes["finish_steps"] = finish
+    result = train_predictor(recipe, data, out, report=_say, **changes)
     print(f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores {result.scores}")
