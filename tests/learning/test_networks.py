@@ -2,10 +2,11 @@
 
 import numpy as np
 import torch
+from torch.nn import functional as F  # noqa: N812
 
 from skygain.learning.direct_net import DirectNet, direct_inputs
 from skygain.learning.operator_net import OperatorConfig, PropagationOperator
-from skygain.learning.paper_unet_net import PADDING_DB, PaperUNet, PaperUNets, paper_inputs
+from skygain.learning.paper_unet_net import PADDING_DB, PaperUNet, PaperUNets, UpsampledConv2d, paper_inputs
 from skygain.learning.path_features import CHANNELS
 
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
@@ -74,3 +75,10 @@ def test_the_direct_network_sees_gains_at_measured_cells_only(rng):
 def test_shipped_sizes():
     parameters = sum(p.numel() for p in PropagationOperator().parameters())
     assert 2 * parameters < 8e6  # bytes as float16
+
+
+def test_upsampling_within_the_filter_is_upsampling_before_it():
+    torch.manual_seed(0)
+    conv, x = UpsampledConv2d(5, 7), torch.randn(2, 5, 6, 8)
+    expected = F.conv2d(F.pad(F.interpolate(x, scale_factor=2.0), (1, 2, 1, 2)), conv.weight, conv.bias)
+    assert torch.allclose(conv(x), expected, atol=1e-5)

@@ -9,7 +9,7 @@ variance gives its logarithm instead.
 
 from __future__ import annotations
 
-__all__ = ["GAIN_SCALE_DB", "PADDING_DB", "SIDE", "PaperUNet", "PaperUNets", "paper_inputs"]
+__all__ = ["GAIN_SCALE_DB", "PADDING_DB", "SIDE", "PaperUNet", "PaperUNets", "UpsampledConv2d", "paper_inputs"]
 
 import itertools
 import math
@@ -44,6 +44,23 @@ def paper_inputs(height_m: Tensor, measured_db: Tensor, measured: Tensor, blind:
     )
 
 
+class UpsampledConv2d(nn.Conv2d):
+    """A 4 × 4 convolution of the image upsampled twofold (nearest neighbour), without ever making the upsampled image.
+
+    Four taps over pairs of equal values are three taps over the values, other ones for even than for odd outputs: a 3 × 3 convolution with
+    four outputs per channel, 36 products in place of 64. Border as in the other layers.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__(in_channels, out_channels, 4)
+
+    def forward(self, x: Tensor) -> Tensor:
+        # out, in, row tap, col tap → out, row phase, col phase, in, row tap, col tap
+        phases = torch.stack([torch.stack(_phases(rows, 3), dim=1) for rows in _phases(self.weight, 2)], dim=1)
+        bias: Tensor = self.bias  # type: ignore[assignment]
+        return F.pixel_shuffle(F.conv2d(x, phases.flatten(0, 2), bias.repeat_interleave(4), padding=1), 2)
+
+
 class PaperUNet(nn.Module):
     """One U-Net of Table I: ``[batch, channel, 96, 96]`` → ``[batch, 96, 96]``."""
 
@@ -54,7 +71,7 @@ class PaperUNet(nn.Module):
         widths = (channels, *ENCODER)
         self.encoder = nn.ModuleList(nn.Conv2d(a, b, 4) for a, b in itertools.pairwise(widths))
         self.dense = nn.Linear(4608, 4608)
-        self.decoder = nn.ModuleList(nn.Conv2d(a, b, 4) for a, b in DECODER)
+        self.decoder = nn.ModuleList(UpsampledConv2d(a, b) for a, b in DECODER)
         self.last = nn.Conv2d(32, 1, 4)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -66,8 +83,7 @@ class PaperUNet(nn.Module):
             layers.append(x)
         y = self.activation(self.dense(x.flatten(1))).reshape(x.shape).contiguous(memory_format=torch.channels_last)
         for conv, skip in zip(self.decoder, (8, 7, 5, 3), strict=True):
-            y = F.interpolate(torch.cat([y, layers[skip - 1]], dim=1), scale_factor=2.0)
-            y = self.activation(_same(conv, y))
+            y = self.activation(conv(torch.cat([y, layers[skip - 1]], dim=1)))
         return _same(self.last, torch.cat([y, layers[0]], dim=1))[:, 0]
 
 
@@ -89,3 +105,9 @@ class PaperUNets(nn.Module):
 def _same(conv: nn.Module, x: Tensor) -> Tensor:
     # An even filter cannot be centred: one more row and column of zeros goes to the north and east.
     return conv(F.pad(x, (1, 2, 1, 2)))
+
+
+def _phases(weight: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+    """The three-tap filters of even and of odd outputs along ``dim`` of a four-tap filter."""
+    a, b, c, d = weight.unbind(dim)
+    return torch.stack([a, b + c, d], dim), torch.stack([torch.zeros_like(a), a + b, c + d], dim)
