@@ -4,7 +4,7 @@
 
 A joint step moves all UAVs of one survey once (N = 3, 96 × 96 cells, T = 200), takes their readings, asks the predictor for its maps and
 builds what every UAV observes. A network predictor without trained weights is timed with random ones. Table and numbers go to
-benchmarks/results/environment.*.
+benchmarks/results/environment.*, beside those of predictors measured before.
 """
 
 from __future__ import annotations
@@ -75,8 +75,11 @@ def main() -> None:
     parser.add_argument("--predictors", default="none,idw,kriging,paper-unet")
     parser.add_argument("--seconds", type=float, default=6.0)
     options = parser.parse_args()
-    names = options.predictors.split(",")
-    found = {name: [round(joint_steps_per_second(name, lanes, options.seconds), 1) for lanes in LANES] for name in names}
+    RESULTS.mkdir(exist_ok=True)
+    file = RESULTS / "environment.json"
+    found = json.loads(file.read_text())["rates"] if file.exists() else {}
+    for name in options.predictors.split(","):
+        found[name] = [round(joint_steps_per_second(name, lanes, options.seconds), 1) for lanes in LANES]
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, one thread"
     table = [
         f"Joint steps per second (N = 3, 96 × 96 cells, T = 200; the first steps of a survey), {machine}.",
@@ -88,9 +91,8 @@ def main() -> None:
             for name, rates in found.items()
         ),
     ]
-    RESULTS.mkdir(exist_ok=True)
     (RESULTS / "environment.md").write_text("\n".join(table) + "\n")
-    (RESULTS / "environment.json").write_text(json.dumps({"machine": machine, "lanes": LANES, "rates": found}, indent=2) + "\n")
+    file.write_text(json.dumps({"machine": machine, "lanes": LANES, "rates": found}, indent=2) + "\n")
     print("\n".join(table))
 
 

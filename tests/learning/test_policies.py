@@ -47,10 +47,10 @@ def tensors(result):
 
 
 def test_a_resumed_dqn_run_ends_with_the_same_weights(tmp_path):
-    whole = train_dqn(replace(SMALL, out=str(tmp_path / "whole"), total_steps=45))
-    train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=29))  # in the middle of an episode, the ring full
-    parts = train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=45))
-    assert parts.updates == whole.updates > 10
+    whole = train_dqn(replace(SMALL, out=str(tmp_path / "whole"), total_steps=36))
+    train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=23))  # in the middle of an episode, the ring full
+    parts = train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=36))
+    assert parts.updates == whole.updates > 8
     one, two = tensors(whole), tensors(parts)
     assert all(torch.equal(one[key], two[key]) for key in one)
 
@@ -156,18 +156,19 @@ def test_imitation_resumes_and_learns_from_its_own_flights(tmp_path):
         side=32,
         steps=16,
         surveys=(4, 3),
-        updates=(30, 20),
+        updates=(24, 12),
+        learning_rate=3e-3,
         held_out=1,
         batch_size=16,
         workers=1,
-        checkpoint_steps=10,
+        checkpoint_steps=24,
     )
     whole = train_imitation(replace(config, out=str(tmp_path / "whole")))
-    train_imitation(replace(config, out=str(tmp_path / "parts"), surveys=(4,), updates=(30,)))
+    train_imitation(replace(config, out=str(tmp_path / "parts"), surveys=(4,), updates=(24,)))
     parts = train_imitation(replace(config, out=str(tmp_path / "parts")))
     one, two = tensors(whole), tensors(parts)
     assert all(torch.equal(one[key], two[key]) for key in one)
-    assert whole.scores["agreement"] > 0.5  # straight on is easily learned: the last move is part of the view
+    assert whole.scores["held_out_loss"] < 0.95 * np.log(4)  # straight on is easily learned: the last move is part of the view
 
 
 def test_unknown_recipes_settings_and_weights_are_refused(tmp_path):

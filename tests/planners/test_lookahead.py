@@ -17,20 +17,22 @@ from skygain.testing.planners import check_planner, planner_scenarios
 
 
 def test_keeps_the_planners_contract(field_predictor):
-    planner = create_planner("lookahead", horizon=12, paths=60, commit_steps=12, early_steps=1)
+    planner = create_planner("lookahead", horizon=12, paths=60)
     check_planner(planner, field_predictor, settings=planner_scenarios()[2:8:2])
 
 
-def test_young_surveys_plan_more_often(field_predictor):
+def test_young_surveys_plan_more_often_where_readings_change_the_plan(field_predictor, variance_predictor):
     scenario = Scenario(City(Grid((20, 20), 4.0), np.zeros((20, 20), dtype=np.float32)))
     swarm = Swarm.deployed(scenario, [(3, 3), (10, 10)], 60)
-    belief = field_predictor.begin(scenario).updated(Measurements.at(swarm.cells, [-90.0, -95.0]))
+    readings = Measurements.at(swarm.cells, [-90.0, -95.0])
+    belief = variance_predictor.begin(scenario).updated(readings)
     planner = create_planner("lookahead", horizon=15, paths=40, early_steps=1)
     rng = np.random.default_rng(0)
     young = planner.plan(swarm, belief, 60, rng)
     assert young.commit_steps == 5
     swarm = swarm.advanced(young.paths[:, 1])
     assert planner.plan(swarm, belief, 59, rng).commit_steps == 10
+    assert planner.plan(swarm, field_predictor.begin(scenario).updated(readings), 59, rng).commit_steps == 15
 
 
 class Disagreement(Belief):

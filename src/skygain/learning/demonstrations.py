@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from skygain.environments.observation import packed_height, packed_mean, packed_std
 from skygain.environments.worlds import LinkWorlds, World
 from skygain.evaluation.methods import MethodSpec
-from skygain.learning.policy_inputs import Seen
+from skygain.learning.policy_inputs import Seen, last_moves, moves_of
 from skygain.measurements import Measurements
 from skygain.planners.base import Planner
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.predictors.base import Belief
-from skygain.swarm import MOVES, Swarm
+from skygain.swarm import Swarm
 
 MOST_UAVS = 6
 
@@ -162,7 +162,7 @@ def _recorded(swarm: Swarm, belief: Belief, then: NDArray[np.int64]) -> dict[str
     posterior, n = belief.posterior(), swarm.n_uavs
     cells = np.full((MOST_UAVS, 2), -1, dtype=np.int16)
     last, moves = np.full(MOST_UAVS, -1, dtype=np.int8), np.full(MOST_UAVS, -1, dtype=np.int8)
-    cells[:n], last[:n], moves[:n] = swarm.cells, _made_moves(swarm), _moves(then - swarm.cells)
+    cells[:n], last[:n], moves[:n] = swarm.cells, last_moves(swarm), moves_of(then - swarm.cells)
     return {
         "mean": packed_mean(posterior.mean_db),
         "std": packed_std(posterior.variance_db2),
@@ -171,15 +171,3 @@ def _recorded(swarm: Swarm, belief: Belief, then: NDArray[np.int64]) -> dict[str
         "moves": moves,
         "left": np.array(swarm.steps_left.max(), dtype=np.int16),
     }
-
-
-def _made_moves(swarm: Swarm) -> NDArray[np.int64]:
-    """``[uav]`` the last move of each, −1 if it has made none or hovered."""
-    if swarm.steps_flown == 0:
-        return np.full(swarm.n_uavs, -1)
-    return _moves(swarm.history[:, -1] - swarm.history[:, -2])
-
-
-def _moves(delta: NDArray[np.int64]) -> NDArray[np.int64]:
-    match = (delta[:, None] == MOVES).all(axis=-1)
-    return np.where(match.any(axis=1), match.argmax(axis=1), -1)

@@ -28,11 +28,10 @@ from skygain.errors import InputError
 from skygain.evaluation.methods import MethodSpec
 from skygain.learning.c51 import cross_entropy, expected, masked_argmax, projected, support
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
-from skygain.learning.policy_inputs import Seen, turned_moves
+from skygain.learning.policy_inputs import Seen, moves_of, turned_moves
 from skygain.learning.q_network import NETWORKS, policy_network
 from skygain.learning.replay import Replay, ReplayConfig, Transitions
 from skygain.learning.run_state import autocast, optimiser_tensors, restore_optimiser, under
-from skygain.swarm import MOVES
 
 Moves = NDArray[np.int64]
 
@@ -301,9 +300,8 @@ def _learned(
 
 def _last_moves(held: Moves, cells: Moves, last: Moves, ended: NDArray[np.bool_]) -> Moves:
     """``[survey, uav]`` moves just made, −1 where a new episode has begun; a UAV that hovered keeps its last one."""
-    match = ((cells - held)[:, :, None] == MOVES).all(axis=-1)
-    made = np.where(match.any(axis=-1), match.argmax(axis=-1), last)
-    return np.where(ended[:, None], -1, made)
+    made = moves_of(cells - held)
+    return np.where(ended[:, None], -1, np.where(made < 0, last, made))
 
 
 def _warm_start(network: nn.Module, file: str) -> None:

@@ -188,7 +188,7 @@ def _scored(
 def _held_out(network: nn.Module, demonstrations: Demonstrations) -> dict[str, float]:
     network.eval()
     with torch.inference_mode():
-        parts = [_scored(network, demonstrations, np.random.default_rng([2**32 - 1, k]), 512, 0) for k in range(8)]
+        parts = [_scored(network, demonstrations, np.random.default_rng([2**32 - 1, k]), 256, 0) for k in range(8)]
     network.train()
     loss, agreed = (float(torch.stack([p[i] for p in parts]).mean()) for i in range(2))
     return {"held_out_loss": round(loss, 4), "agreement": round(agreed, 4)}

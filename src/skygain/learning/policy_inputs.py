@@ -16,6 +16,8 @@ __all__ = [
     "SYMMETRIES",
     "Seen",
     "centred_view",
+    "last_moves",
+    "moves_of",
     "turned_moves",
     "turned_view",
 ]
@@ -25,6 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from skygain.swarm import MOVES, Swarm
 
 NEAR, FAR, BLOCK = 33, 27, 7
 NEAR_CHANNELS = ("std", "mean", "flyable", "height", "measured", "others")
@@ -58,6 +62,19 @@ class Seen:
     """``[sample]`` its last move, −1 if it has made none"""
     left: NDArray[np.int64]
     """``[sample]`` steps it has left"""
+
+
+def moves_of(delta: NDArray[np.int64]) -> NDArray[np.int64]:
+    """``[...]`` the move that each ``delta[..., (row, col)]`` is, −1 where it is none."""
+    match = (delta[..., None, :] == MOVES).all(axis=-1)
+    return np.where(match.any(axis=-1), match.argmax(axis=-1), -1)
+
+
+def last_moves(swarm: Swarm) -> NDArray[np.int64]:
+    """``[uav]`` the last move of each, −1 if it has made none or hovered."""
+    if swarm.steps_flown == 0:
+        return np.full(swarm.n_uavs, -1)
+    return moves_of(swarm.history[:, -1] - swarm.history[:, -2])
 
 
 @njit(cache=True, nogil=True)

@@ -21,7 +21,7 @@ from skygain.environments.observation import packed_height, packed_mean, packed_
 from skygain.planners.base import Plan, Planner
 from skygain.planners.flight import Airspace, blocked_home, home_margins, resolve_step
 from skygain.predictors.base import Belief
-from skygain.swarm import MOVES, Swarm
+from skygain.swarm import Swarm
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class PolicyPlanner(Planner):
         """``[uav, move]`` how much each UAV's network favours each move, legal or not."""
         import torch
 
-        from skygain.learning.policy_inputs import SYMMETRIES, Seen, turned_moves
+        from skygain.learning.policy_inputs import SYMMETRIES, Seen, last_moves, turned_moves
 
         network, z = self._network
         posterior, n = belief.posterior(), swarm.n_uavs
@@ -58,7 +58,7 @@ class PolicyPlanner(Planner):
             flyable=np.broadcast_to(swarm.flyable, mean.shape),
             cells=np.broadcast_to(swarm.cells, (n, n, 2)),
             uav=np.arange(n),
-            last=_last_moves(swarm),
+            last=last_moves(swarm),
             left=swarm.steps_left,
         )
         count = min(self.symmetries, SYMMETRIES) if network.centred else 1
@@ -76,13 +76,6 @@ class PolicyPlanner(Planner):
         from skygain.learning.policy_weights import load_policy
 
         return load_policy(self.weights)
-
-
-def _last_moves(swarm: Swarm) -> NDArray[np.int64]:
-    if swarm.steps_flown == 0:
-        return np.full(swarm.n_uavs, -1)
-    match = ((swarm.history[:, -1] - swarm.history[:, -2])[:, None] == MOVES).all(axis=-1)
-    return np.where(match.any(axis=1), match.argmax(axis=1), -1)
 
 
 def dqn_planner(weights: str | Path = "dqn", **options: Any) -> PolicyPlanner:

@@ -10,7 +10,10 @@ that changes the map; the linear estimate behind K is never better than the beli
 expected to be reached or exceeded. For Kriging K is the kernel given the readings, for beliefs of variances only a stand-in.
 
 No training. The delay is bounded: the beam's width is shared by the UAVs, so a decision costs about the same for any number of them.
-A belief changes fastest while it has seen little, so plans are flown for fewer steps at first.
+
+How soon to plan again depends on what flying can teach about the plan. With a stationary kernel K depends on where was measured, not on
+what, so a plan stays as good as it was and is flown for 15 steps; other beliefs may change their mind with every reading, above all
+while they have seen little, and plans are flown for 5 steps at first and 10 later.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ import numpy as np
 
 from skygain.errors import InputError
 from skygain.planners.base import Plan, Planner
+from skygain.planners.covariance import HasStationaryPrior
 from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
 from skygain.swarm import Swarm
@@ -44,6 +48,8 @@ class LookaheadPlanner(Planner):
     """steps flown before planning again"""
     early_commit_steps: int = 5
     """the same during the first ``early_steps``"""
+    stationary_commit_steps: int = 15
+    """the same for a belief with a stationary kernel"""
     early_steps: int = 40
     """how long a survey counts as young"""
     paths: int = 450
@@ -52,15 +58,18 @@ class LookaheadPlanner(Planner):
     """rounds in which every UAV plans again given the others"""
 
     def __post_init__(self) -> None:
-        if min(self.horizon, self.commit_steps, self.early_commit_steps, self.paths) < 1:
+        if min(self.horizon, self.commit_steps, self.early_commit_steps, self.stationary_commit_steps, self.paths) < 1:
             raise InputError(
-                "look-ahead needs horizon, commit_steps, early_commit_steps and paths of 1 or more, got "
-                f"{self.horizon}, {self.commit_steps}, {self.early_commit_steps} and {self.paths}"
+                "look-ahead needs a horizon, steps to fly and paths of 1 or more, got "
+                f"{self.horizon}, {self.commit_steps}, {self.early_commit_steps}, {self.stationary_commit_steps} and {self.paths}"
             )
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         flying = max(1, int(swarm.flying.sum()))
         search = SequentialGreedyPlanner(horizon=self.horizon, sweeps=self.sweeps, width=max(LEAST_WIDTH, self.paths // flying))
         plan = search.plan(swarm, belief, horizon, rng)
-        flown = self.early_commit_steps if swarm.steps_flown < self.early_steps else self.commit_steps
+        if isinstance(belief, HasStationaryPrior):
+            flown = self.stationary_commit_steps
+        else:
+            flown = self.early_commit_steps if swarm.steps_flown < self.early_steps else self.commit_steps
         return replace(plan, commit_steps=min(flown, plan.n_steps))
