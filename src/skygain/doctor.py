@@ -24,6 +24,7 @@ CORE = ("numpy", "scipy", "numba", "xarray", "zarr", "h5netcdf", "matplotlib", "
 EXTRAS = {
     "raytrace": ("sionna-rt", "shapely"),
     "geo": ("rasterio", "pyproj", "shapely", "pyogrio"),
+    "rl": ("pettingzoo", "gymnasium"),
     "dev": ("pytest", "hypothesis", "ruff", "mypy", "scikit-learn", "pycraf"),
 }
 """optional features and their packages"""

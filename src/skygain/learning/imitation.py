@@ -60,11 +60,11 @@ class ImitationConfig:
     """cells along the edge of the map"""
     steps: int = 200
     """T"""
-    surveys: tuple[int, ...] = (100, 60)
+    surveys: tuple[int, ...] = (48, 60, 60)
     """surveys flown in each round"""
-    updates: tuple[int, ...] = (1500, 2500)
+    updates: tuple[int, ...] = (400, 1500, 2500)
     """of the network in each round"""
-    held_out: int = 10
+    held_out: int = 4
     """surveys of each round that are not trained on but scored"""
     batch_size: int = 256
     """moves per update"""
