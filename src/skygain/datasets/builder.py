@@ -13,13 +13,11 @@ import ast
 import hashlib
 import importlib.metadata
 import json
-import multiprocessing
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -38,11 +36,11 @@ from skygain.datasets.store import ChannelDataset
 from skygain.datasets.writer import write_dataset
 from skygain.errors import InputError
 from skygain.files import atomic_write, writable_folder
+from skygain.workers import process_pool
 
 Progress = Callable[[int, int, float | None], None]
 """called with the cities done, the cities in all, and the seconds left (``None`` while unknown)"""
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _PACKAGES = ("numpy", "sionna-rt", "mitsuba", "drjit")
 """packages whose release can change the numbers"""
 
@@ -115,24 +113,19 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
         progress(done, total, None)
     if not missing:
         return
-    # spawned, not forked: a fork would copy the ray tracer's threads in whatever state they are
-    context = multiprocessing.get_context("spawn")
-    with _one_thread_per_child():
-        pool = ProcessPoolExecutor(min(workers, len(missing)), mp_context=context, initializer=_end_with_parent)
-        try:
+    try:
+        with process_pool(min(workers, len(missing))) as pool:
             tasks = [pool.submit(_trace_city, config, seed, split, _shard(parts, seed)) for seed, split in missing]
             for count, task in enumerate(as_completed(tasks), start=1):
                 task.result()
                 if progress:
                     left = (time.monotonic() - began) / count * (len(missing) - count)
                     progress(done + count, total, left)
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a worker process ended before its city was done, perhaps for want of memory; finished cities are kept, "
-                "run the same command again, with fewer workers"
-            ) from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    except BrokenProcessPool as error:
+        raise InputError(
+            "a worker process ended before its city was done, perhaps for want of memory; finished cities are kept, "
+            "run the same command again, with fewer workers"
+        ) from error
 
 
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
@@ -319,30 +312,3 @@ def _still_there(path: Path, descriptor: int) -> bool:
         return os.path.samestat(os.stat(path), os.fstat(descriptor))
     except FileNotFoundError:
         return False
-
-
-@contextmanager
-def _one_thread_per_child() -> Iterator[None]:
-    """Let processes started here compute on one thread: several workers do not crowd the machine, and sums keep their order."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _end_with_parent() -> None:
-    """End this worker when the building process is gone; a killed parent cannot tell it to."""
-
-    def watch() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

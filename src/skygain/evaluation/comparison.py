@@ -11,11 +11,9 @@ __all__ = ["Comparison", "ComparisonConfig", "compare"]
 
 import hashlib
 import json
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -29,6 +27,7 @@ from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.rollout import rollout
 from skygain.files import writable_folder
 from skygain.swarm import FlightRules
+from skygain.workers import process_pool
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
@@ -152,22 +151,6 @@ def _run(config: ComparisonConfig, index: int, method: MethodSpec) -> dict[str, 
     return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
-@contextmanager
-def _single_threaded_children() -> Iterator[None]:
-    """Worker processes inherit one thread each, so that they do not fight over the cores."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _read_lines(path: Path) -> list[dict[str, Any]]:
     """The complete lines of a journal; a last line cut off by a kill is dropped from the file too."""
     if not path.exists():
@@ -210,7 +193,7 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     todo = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].link, m.label) not in done]
     total, count = len(cases) * len(config.methods), len(cases) * len(config.methods) - len(todo)
     workers = min(workers or os.cpu_count() or 1, max(1, len(todo)))
-    with _single_threaded_children(), journal.open("a") as sink:
+    with journal.open("a") as sink:
 
         def keep(line: dict[str, Any]) -> None:
             nonlocal count
@@ -223,24 +206,19 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
                 progress(count, total, line["method"])
 
         if todo:
-            context = multiprocessing.get_context("spawn")
-            with ProcessPoolExecutor(workers, mp_context=context) as pool:
+            with process_pool(workers) as pool:
                 queue = iter(todo)
                 running: set[Future[dict[str, Any]]] = set()
-                try:
-                    while True:
-                        for index, method in queue:
-                            running.add(pool.submit(_run, config, index, method))
-                            if len(running) >= 2 * workers:
-                                break
-                        if not running:
+                while True:
+                    for index, method in queue:
+                        running.add(pool.submit(_run, config, index, method))
+                        if len(running) >= 2 * workers:
                             break
-                        finished, running = wait(running, return_when=FIRST_COMPLETED)
-                        for future in finished:
-                            keep(future.result())
-                except BaseException:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    raise
+                    if not running:
+                        break
+                    finished, running = wait(running, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        keep(future.result())
     return _collected(config, cases, done)
 
 
