@@ -23,8 +23,8 @@ Array = NDArray[np.float32]
 
 SOFTEN = 3.0
 """standardised errors beyond this count with their logarithm only"""
-CROWD_CELLS = 3.0
-"""earlier readings within this many cells make a reading count less"""
+CROWD_M = 12.0
+"""earlier readings within this distance make a reading count less"""
 LINE_OF_SIGHT = PATH_CHANNELS.index("line_of_sight")
 SUMS = ("weight", "z", "soft", "log_std", "error", "square", "los_weight", "los_z", "los_soft")
 PER_SET = ("z", "soft", "log_std", "spread", "los_share", "los_z", "los_soft", "log_likelihood", "tempered")
@@ -132,16 +132,16 @@ class EvidenceSums:
         log_std = np.log(std) + 0.5 * np.log1p((z / SOFTEN) ** 2)
         los = features[..., LINE_OF_SIGHT]
         terms = (np.ones_like(z), z, soft, log_std, error, error**2, los, los * z, los * soft)
-        weight = np.stack([np.ones(len(cells), np.float32), self._thinning(cells)])
+        weight = np.stack([np.ones(len(cells), np.float32), self._thinning(cells, spacing_m)])
         new = np.stack([weight @ term for term in terms], axis=1)
         return replace(
             self, sums=self.sums + new, cells=np.concatenate([self.cells, cells]), gain_db=np.append(self.gain_db, gain_db)
         )
 
-    def _thinning(self, cells: NDArray[np.int64]) -> Array:
+    def _thinning(self, cells: NDArray[np.int64], spacing_m: float) -> Array:
         everything = np.concatenate([self.cells, cells])
         old = len(self.cells)
-        near = ((cells[:, None] - everything[None]) ** 2).sum(axis=-1) <= CROWD_CELLS**2
+        near = ((cells[:, None] - everything[None]) ** 2).sum(axis=-1) * spacing_m**2 <= CROWD_M**2
         near &= np.arange(len(everything))[None] < (old + np.arange(len(cells)))[:, None]
         return (1.0 / (1.0 + near.sum(axis=1))).astype(np.float32)
 
