@@ -13,11 +13,9 @@ from __future__ import annotations
 __all__ = ["ImitationConfig", "ImitationResult", "train_imitation"]
 
 import json
-import multiprocessing
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +34,7 @@ from skygain.learning.policy_weights import export_policy
 from skygain.learning.q_network import policy_network
 from skygain.learning.run_state import optimiser_tensors, restore_optimiser, under
 from skygain.planners.learned import PolicyPlanner
+from skygain.workers import process_pool
 
 SHAPE = {"network": "centred", "atoms": 1, "side": 0, "dueling": False}
 
@@ -214,28 +213,16 @@ def _fly_round(
                 return False
             _fly_one(how, learner, (config.seed, round_, k), paths[k])
         return True
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(config.workers, mp_context=context, initializer=_single_threaded) as pool:
-        try:
-            futures = [pool.submit(_fly_one, how, learner, (config.seed, round_, k), paths[k]) for k in todo]
-            for future in as_completed(futures):
-                future.result()
-                done += 1
-                if done % 10 == 0 or done == count:
-                    report(done, count)
-                if time.monotonic() > deadline:
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    return done == count
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with process_pool(config.workers) as pool:
+        futures = [pool.submit(_fly_one, how, learner, (config.seed, round_, k), paths[k]) for k in todo]
+        for future in as_completed(futures):
+            future.result()
+            done += 1
+            if done % 10 == 0 or done == count:
+                report(done, count)
+            if time.monotonic() > deadline:
+                return done == count
     return True
-
-
-def _single_threaded() -> None:
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ[name] = "1"
-    torch.set_num_threads(1)
 
 
 _learners: dict[Path, PolicyPlanner] = {}

@@ -7,7 +7,7 @@ models). Only the file is small; a loaded network computes in float32.
 
 from __future__ import annotations
 
-__all__ = ["dequantised", "is_quantised", "quantised"]
+__all__ = ["dequantised", "quantised"]
 
 import torch
 from torch import Tensor
@@ -36,11 +36,6 @@ def quantised(name: str, weight: Tensor, bits: int) -> dict[str, Tensor]:
     if bits == 4:
         code = code[:, 0::2] | (code[:, 1::2] << 4)
     return {f"{name}.q{bits}": code.contiguous(), f"{name}.low": low, f"{name}.step": step}
-
-
-def is_quantised(tensors: dict[str, Tensor]) -> bool:
-    """Whether any of ``tensors`` is."""
-    return any(key.endswith((".q4", ".q8")) for key in tensors)
 
 
 def dequantised(tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.run_state import optimiser_tensors, restore_optimiser, under
 from skygain.learning.tasks import Batch, Task
 
 
@@ -121,11 +122,11 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     if path.exists():
         tensors, meta = load_checkpoint(path)
         step, seconds, scores, finish = meta["step"], meta["seconds"], meta["scores"], meta.get("finish")
-        network.load_state_dict(_under("network.", tensors))
-        _restore_optimiser(optimiser, _under("optimiser.", tensors))
-        average = {key: value.to(device) for key, value in _under("average.", tensors).items()}
+        network.load_state_dict(under("network.", tensors))
+        restore_optimiser(optimiser, under("optimiser.", tensors))
+        average = {key: value.to(device) for key, value in under("average.", tensors).items()}
     elif config.start_from:
-        network.load_state_dict(_under("average.", load_checkpoint(Path(config.start_from))[0]), strict=False)
+        network.load_state_dict(under("average.", load_checkpoint(Path(config.start_from))[0]), strict=False)
         average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
     if finish is None and config.finish_steps:
         finish = [step, config.finish_steps]
@@ -149,7 +150,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     def save() -> None:
         tensors = {f"network.{k}": v for k, v in network.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in average.items()}
-        tensors |= {f"optimiser.{k}": v for k, v in _optimiser_tensors(optimiser).items()}
+        tensors |= {f"optimiser.{k}": v for k, v in optimiser_tensors(optimiser).items()}
         meta = {"step": step, "seconds": seconds, "scores": scores, "finish": finish}
         save_checkpoint(path, tensors, {**meta, "config": _plain(asdict(config))})
 
@@ -287,26 +288,6 @@ def _follow(average: dict[str, Tensor], network: nn.Module, decay: float) -> Non
     state = network.state_dict()
     with torch.no_grad():
         torch._foreach_lerp_(list(average.values()), [state[key] for key in average], 1.0 - decay)
-
-
-def _optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
-    state = optimiser.state_dict()["state"]
-    return {f"{index}.{key}": value for index, entry in state.items() for key, value in entry.items()}
-
-
-def _restore_optimiser(optimiser: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
-    parameters = [p for group in optimiser.param_groups for p in group["params"]]
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in tensors.items():
-        index, _, key = name.partition(".")
-        if value.ndim:  # fused Adam walks through memory, so its moments must lie as the parameter does (channels last)
-            value = torch.empty_like(parameters[int(index)], dtype=value.dtype).copy_(value)
-        state.setdefault(int(index), {})[key] = value
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-
-
-def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
 
 
 def _to(batch: Batch, device: torch.device) -> Batch:
