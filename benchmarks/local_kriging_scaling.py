@@ -112,10 +112,9 @@ def main() -> None:
             with context.Pool(1) as pool:
                 rows.append(pool.apply(measure, (side, count)))
             print(rows[-1], flush=True)
-    text = markdown(rows)
-    print(text)
-    (options.out / "local_kriging_scaling.md").write_text(text, encoding="utf-8")
-    (options.out / "local_kriging_scaling.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+            (options.out / "local_kriging_scaling.md").write_text(markdown(rows), encoding="utf-8")
+            (options.out / "local_kriging_scaling.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(markdown(rows))
 
 
 if __name__ == "__main__":
