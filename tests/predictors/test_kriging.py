@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from skygain.predictors.kriging_fit import likelihood_loss, map_estimate
 from skygain.predictors.kriging_parameters import KrigingParameters, trained_parameters, trend_columns
 from skygain.scenario import Scenario
 from skygain.testing import check_predictor
+from skygain.testing.predictors import example_scenario
 
 SHAPE = (17, 23)
 SIMPLE = KrigingParameters.known_trend(27.0, 72.0, sill_db2=380.0, range_m=57.0)
@@ -296,3 +299,11 @@ def test_parameters_between_trained_altitudes_lie_between():
     low, middle, high = (trained_parameters("constant", z) for z in (10.0, 15.0, 20.0))
     assert min(low.sill_db2, high.sill_db2) <= middle.sill_db2 <= max(low.sill_db2, high.sill_db2)
     assert trained_parameters("constant", 2.0) == low
+
+
+def test_a_single_reading_is_taken_without_a_warning():
+    scenario = example_scenario(transmitter=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        posterior = create_predictor("kriging-blind").begin(scenario).updated(Measurements.at([[0, 0]], [-90.0])).posterior()
+    assert np.isfinite(posterior.mean_db).all()

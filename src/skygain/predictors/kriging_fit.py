@@ -137,6 +137,8 @@ def fit_to_survey(
 
 def _spread(xy_m: Array, grid: Grid) -> float:
     """How widely positions are scattered, 1 when evenly over the whole map."""
+    if len(xy_m) < 3:  # a point or a line
+        return 0.0
     rows, cols = grid.shape
     even = rows * cols * grid.spacing_m**2 / 12
     return float(np.sqrt(max(np.linalg.det(np.cov(xy_m.T)), 0.0)) / even)
