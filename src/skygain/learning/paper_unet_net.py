@@ -77,9 +77,10 @@ class PaperUNet(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         layers = []
         for i, conv in enumerate(self.encoder):
-            x = self.activation(_same(conv, x))
-            if i % 2 == 1:
+            x = _same(conv, x)
+            if i % 2 == 1:  # both activations rise, so they change places with the maximum and see a quarter of the cells
                 x = F.max_pool2d(x, 2)
+            x = self.activation(x)
             layers.append(x)
         y = self.activation(self.dense(x.flatten(1))).reshape(x.shape).contiguous(memory_format=torch.channels_last)
         for conv, skip in zip(self.decoder, (8, 7, 5, 3), strict=True):

@@ -148,6 +148,8 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         report(line)
 
     def save() -> None:
+        if average_decay == 0:
+            _follow(average, network, 0.0)
         tensors = {f"network.{k}": v for k, v in network.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in average.items()}
         tensors |= {f"optimiser.{k}": v for k, v in optimiser_tensors(optimiser).items()}
@@ -156,7 +158,8 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
 
     network.train()
     threads = torch.get_num_threads()
-    if device.type == "cpu" and config.workers > 1:
+    shared = device.type == "cpu" and config.workers > 1
+    if shared:
         torch.set_num_threads(1)  # the workers are the parallelism
     shares = _Shares(task, network, config.workers if device.type == "cpu" else 1, autocast, device)
     begun, saved, losses = time.monotonic(), time.monotonic(), []
@@ -168,9 +171,12 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
             loss = shares.gradients(batch)
             if config.clip_norm > 0:
                 nn.utils.clip_grad_norm_(network.parameters(), config.clip_norm)
+            torch.set_num_threads(threads)  # a pass over all weights is shared by all cores, the workers wait meanwhile
             optimiser.step()
             step += 1
-            _follow(average, network, min(average_decay, step / (step + 10)))
+            if average_decay > 0:
+                _follow(average, network, min(average_decay, step / (step + 10)))
+            torch.set_num_threads(1 if shared else threads)
             losses.append(loss)
             now = time.monotonic()
             seconds = earlier + now - begun
@@ -178,7 +184,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
                 record(loss=round(float(torch.stack(losses).mean()), 5), rate=rate_of(step))
                 losses = []
             if step % config.validate_steps == 0 or (finish is not None and step == end):
-                trial.load_state_dict(average, strict=False)
+                trial.load_state_dict(average if average_decay > 0 else network.state_dict(), strict=False)
                 scores = shares.pool.submit(task.scores, trial, validation, autocast).result()
                 record(**scores)
             if now - saved > config.checkpoint_seconds:
@@ -207,40 +213,38 @@ def _validation_batches(config: TrainConfig, links: Any) -> list[Batch]:
 
 
 class _Shares:
-    """Data-parallel gradients: each worker takes its share of the batch on its own copy of the network."""
+    """Data-parallel gradients: each worker takes its share of the batch through the same weights, with running statistics of its own."""
 
     def __init__(self, task: Task, network: nn.Module, workers: int, autocast: Callable[[], Any], device: torch.device) -> None:
         self.task, self.autocast, self.device = task, autocast, device
-        self.networks = [network, *(copy.deepcopy(network) for _ in range(workers - 1))]
+        self.parameters = list(network.parameters())
+        # deepcopy leaves alone what its memo holds already
+        self.networks = [network, *(copy.deepcopy(network, {id(p): p for p in self.parameters}) for _ in range(workers - 1))]
         limit = functools.partial(torch.set_num_threads, 1) if device.type == "cpu" and workers > 1 else None
         self.pool = ThreadPoolExecutor(workers, initializer=limit)
 
     def gradients(self, batch: Batch) -> Tensor:
-        """Leave the gradient of the batch's mean loss in the first network's parameters and return that loss."""
+        """Leave the gradient of the batch's mean loss in the parameters and return that loss."""
         n = len(self.networks)
         parts = [_to({key: value[i::n] for key, value in batch.items()}, self.device) for i in range(n)]
-        first, *others = self.networks
-        for other in others:
-            other.load_state_dict(first.state_dict())
-        losses = list(self.pool.map(self._share, self.networks, parts))
-        with torch.no_grad():
-            for other in others:
-                for p, q in zip(first.parameters(), other.parameters(), strict=True):
-                    p.grad.add_(q.grad)  # type: ignore[union-attr,arg-type]
-            for p in first.parameters():
-                p.grad.div_(n)  # type: ignore[union-attr]
-            # The running statistics of the normalisation layers are those of all shares.
-            for key, value in first.state_dict().items():
-                if "running_" in key:
-                    value.copy_(torch.stack([net.state_dict()[key] for net in self.networks]).mean(0))
-        return torch.stack(losses).mean()
+        losses, gradients = zip(*self.pool.map(self._share, self.networks, parts), strict=True)
+        total = list(gradients[0])
+        for more in gradients[1:]:
+            torch._foreach_add_(total, more)
+        for p, gradient in zip(self.parameters, total, strict=True):
+            p.grad = gradient
+        with torch.no_grad():  # the running statistics of the normalisation layers are those of all shares
+            for buffers in zip(*(network.named_buffers() for network in self.networks), strict=True):
+                if "running_" in buffers[0][0]:
+                    mean = torch.stack([buffer for _, buffer in buffers]).mean(0)
+                    for _, buffer in buffers:
+                        buffer.copy_(mean)
+        return torch.stack(losses).sum()
 
-    def _share(self, network: nn.Module, part: Batch) -> Tensor:
-        network.zero_grad(set_to_none=True)
+    def _share(self, network: nn.Module, part: Batch) -> tuple[Tensor, tuple[Tensor, ...]]:
         with self.autocast():
-            loss = self.task.loss(network, part)
-        loss.backward()
-        return loss.detach()
+            loss = self.task.loss(network, part) / len(self.networks)
+        return loss.detach(), torch.autograd.grad(loss, self.parameters)
 
 
 class _prefetched:  # noqa: N801 - reads as a verb in a with statement
