@@ -55,6 +55,44 @@ def test_a_resumed_dqn_run_ends_with_the_same_weights(tmp_path):
     assert all(torch.equal(one[key], two[key]) for key in one)
 
 
+def straight_flights(folder):
+    """Demonstrations of an expert that flies straight on as long as it can."""
+    config = ImitationConfig(
+        predictors=("idw",),
+        expert="random-waypoint:repeat_probability=1.0",
+        out=str(folder),
+        side=32,
+        steps=16,
+        surveys=(4,),
+        updates=(1,),
+        held_out=1,
+        batch_size=4,
+        workers=1,
+    )
+    train_imitation(config)
+    return str(folder / "demonstrations")
+
+
+def test_demonstrations_are_learned_before_the_first_step_and_kept(tmp_path):
+    flights = straight_flights(tmp_path / "expert")
+    taught = replace(SMALL, demonstrations=flights, demonstration_weight=1.0, pretraining=60, learning_rate=3e-4, batch_size=32)
+    said = []
+    whole = train_dqn(replace(taught, out=str(tmp_path / "whole"), total_steps=24), said.append)
+    assert [r["agreement"] for r in said if "pretraining" in r][-1] > 0.5  # of 2 to 4 legal moves; the last one is part of the view
+    assert whole.scores["agreement"] > 0.5
+    train_dqn(replace(taught, out=str(tmp_path / "parts"), total_steps=15))
+    parts = train_dqn(replace(taught, out=str(tmp_path / "parts"), total_steps=24))
+    one, two = tensors(whole), tensors(parts)
+    assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+def test_demonstrations_that_are_not_there_are_asked_for(tmp_path):
+    with pytest.raises(InputError, match="needs a folder"):
+        replace(SMALL, pretraining=3)
+    with pytest.raises(InputError, match="no demonstrations in"):
+        train_dqn(replace(SMALL, out=str(tmp_path), demonstrations=str(tmp_path)))
+
+
 @pytest.fixture
 def seen(rng):
     shape = (5, 20, 23)

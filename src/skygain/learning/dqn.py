@@ -3,6 +3,10 @@
 The run is a function of its settings. Joint step k explores with the stream (seed, 1, k), update k samples with (seed, 2, k), lane ℓ
 plays its episode e in the world (seed, ℓ, e), and the checkpoint holds the networks, the optimiser and the moves of the episodes under
 way, which are flown again when the run goes on. So a killed run ends with the same weights, bit for bit, as one left alone.
+
+Deep Q-learning from demonstrations (Hester et al., 2018) is an option: before the first step, and beside the temporal-difference loss of
+every update, the network learns to value the move of an expert most, by the cross entropy of softmax(Q/τ) over the legal moves. Shaped
+rewards tell good moves from bad ones so faintly beside the noise of the prediction error that this is what makes hours enough.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ from skygain.errors import InputError
 from skygain.evaluation.methods import MethodSpec
 from skygain.learning.c51 import cross_entropy, expected, masked_argmax, projected, support
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.demonstrations import Demonstrations
+from skygain.learning.imitation import expert_loss
 from skygain.learning.policy_inputs import Seen, moves_of, turned_moves
 from skygain.learning.q_network import NETWORKS, policy_network
 from skygain.learning.replay import Replay, ReplayConfig, Transitions
@@ -100,6 +106,14 @@ class DqnConfig:
     """bfloat16 autocast where the CPU has it"""
     start_from: str = ""
     """weight file whose tensors, as far as they fit, begin this run"""
+    demonstrations: str = ""
+    """folder of flights of an expert (those of an imitation run), or none"""
+    demonstration_weight: float = 0.0
+    """λ, of the expert's cross entropy beside the temporal-difference loss"""
+    temperature: float = 0.05
+    """τ, difference in value that counts as a clear preference"""
+    pretraining: int = 0
+    """updates on demonstrations alone before the first step, at ten times the learning rate"""
     seed: int = 0
     """of everything"""
     total_steps: int = 1_000_000
@@ -114,6 +128,8 @@ class DqnConfig:
     def __post_init__(self) -> None:
         if self.network not in NETWORKS:
             raise InputError(f"unknown policy network {self.network!r}; known: {', '.join(NETWORKS)}")
+        if (self.pretraining or self.demonstration_weight) and not self.demonstrations:
+            raise InputError("learning from demonstrations needs a folder of them; make one with: skygain train policy --recipe imitation")
         if self.n_steps < 1 or self.atoms < 2 or not self.v_min < self.v_max or not 0 <= self.exploration <= 1:
             raise InputError("a DQN needs n_steps >= 1, atoms >= 2, v_min < v_max and exploration in 0..1")
 
@@ -159,6 +175,7 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
     online, target = _new_network(config), _new_network(config)
     optimiser = torch.optim.Adam(online.parameters(), config.learning_rate, eps=config.adam_epsilon)
     z = support(config.v_min, config.v_max, config.atoms)
+    expert = _demonstrations(config)
     step, updates, seconds, scores, last = 0, 0, 0.0, {}, np.full(surveys.cells.shape[:2], -1)
     if path.exists():
         tensors, meta = load_checkpoint(path)
@@ -171,13 +188,14 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
     else:
         if config.start_from:
             _warm_start(online, config.start_from)
+        _pretrain(online, expert, z, config, report)
         target.load_state_dict(online.state_dict())
     memory = ReplayConfig(config.lanes, config.n_uavs, config.side, config.steps, config.capacity, config.checkpoint_steps)
     replay = Replay(folder / "replay", memory, step)
     (folder / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))
     contexts = autocast(config.bf16)
     begun, earlier = time.monotonic(), seconds
-    recent: dict[str, list[float]] = {"loss": [], "q": [], "return": [], "rmse_db": []}
+    recent: dict[str, list[float]] = {"loss": [], "q": [], "return": [], "rmse_db": [], "agreement": []}
     saved = step
 
     def save() -> None:
@@ -204,7 +222,10 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
             rng = np.random.default_rng([config.seed, 2, updates])
             batch = replay.sample(rng, config.batch_size, config.n_steps, config.reward.discount)
             symmetry = int(rng.integers(8)) if config.augment else 0
-            recent["loss"].append(_learned(online, target, optimiser, batch, z, config, symmetry, contexts))
+            loss, agreed = _learned(online, target, optimiser, batch, z, config, symmetry, contexts, expert, rng)
+            recent["loss"].append(loss)
+            if expert is not None:
+                recent["agreement"].append(agreed)
             updates += 1
             if updates % config.target_every == 0:
                 target.load_state_dict(online.state_dict())
@@ -277,8 +298,10 @@ def _learned(
     config: DqnConfig,
     symmetry: int,
     contexts: Callable[[], Any],
-) -> float:
-    """One update; the loss."""
+    expert: Demonstrations | None,
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """One update; the temporal-difference loss, and the share of the expert's moves that the network makes."""
     turned = turned_moves(symmetry)
     mask = torch.from_numpy(batch.mask[:, np.argsort(turned)])
     with torch.no_grad(), contexts():
@@ -291,11 +314,48 @@ def _learned(
         goal = projected(probability, torch.from_numpy(batch.reward), torch.from_numpy(batch.discount), z)
     with contexts():
         logits = online(*online.inputs(batch.now, symmetry))  # type: ignore[operator]
-    loss = cross_entropy(logits, torch.from_numpy(turned[batch.move]), goal).mean()
+    loss = total = cross_entropy(logits, torch.from_numpy(turned[batch.move]), goal).mean()
+    agreed = torch.zeros(())
+    if expert is not None:
+        entropy, agreed = expert_loss(online, expert, rng, config.batch_size, symmetry, _preference(z, config))
+        total = loss + config.demonstration_weight * entropy
     optimiser.zero_grad(set_to_none=True)
-    loss.backward()
+    total.backward()
     optimiser.step()
-    return float(loss.detach())
+    return float(loss.detach()), float(agreed)
+
+
+def _preference(z: Tensor, config: DqnConfig) -> Callable[[Tensor], Tensor]:
+    """Logits of the moves: their values in units of τ."""
+    return lambda logits: expected(logits, z) / config.temperature
+
+
+def _demonstrations(config: DqnConfig) -> Demonstrations | None:
+    if not config.demonstrations:
+        return None
+    files = sorted(Path(config.demonstrations).glob("*.npz"))
+    if not files:
+        raise InputError(f"no demonstrations in {config.demonstrations}; give the folder demonstrations/ of an imitation run")
+    return Demonstrations.load(files)
+
+
+def _pretrain(
+    network: nn.Module, expert: Demonstrations | None, z: Tensor, config: DqnConfig, report: Callable[[dict[str, Any]], None]
+) -> None:
+    """Updates on demonstrations alone; a run killed here begins again."""
+    optimiser = torch.optim.Adam(network.parameters(), 10 * config.learning_rate, eps=config.adam_epsilon)
+    agreements = []
+    for k in range(config.pretraining if expert is not None else 0):
+        rng = np.random.default_rng([config.seed, 3, k])
+        symmetry = int(rng.integers(8)) if config.augment else 0
+        loss, agreed = expert_loss(network, expert, rng, config.batch_size, symmetry, _preference(z, config))  # type: ignore[arg-type]
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        agreements.append(float(agreed))
+        if (k + 1) % config.log_steps == 0:
+            report({"pretraining": k + 1, "of": config.pretraining, "agreement": round(float(np.mean(agreements)), 4)})
+            agreements.clear()
 
 
 def _last_moves(held: Moves, cells: Moves, last: Moves, ended: NDArray[np.bool_]) -> Moves:

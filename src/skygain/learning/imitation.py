@@ -10,7 +10,7 @@ draws batch k of round r from the stream (seed, r, k).
 
 from __future__ import annotations
 
-__all__ = ["ImitationConfig", "ImitationResult", "train_imitation"]
+__all__ = ["ImitationConfig", "ImitationResult", "expert_loss", "train_imitation"]
 
 import json
 import time
@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from skygain.environments.observation import action_masks
@@ -145,7 +145,7 @@ def train_imitation(config: ImitationConfig, report: Callable[[dict[str, Any]], 
             for group in optimiser.param_groups:
                 group["lr"] = config.learning_rate * 0.5 * (1 + np.cos(np.pi * step / steps))
             rng = np.random.default_rng([config.seed, round_, step])
-            loss, _ = _scored(network, trained, rng, config.batch_size, int(rng.integers(SYMMETRIES)))
+            loss, _ = expert_loss(network, trained, rng, config.batch_size, int(rng.integers(SYMMETRIES)))
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -167,18 +167,22 @@ def train_imitation(config: ImitationConfig, report: Callable[[dict[str, Any]], 
     return ImitationResult(round_, total, spent(), scores, path)
 
 
-def _scored(
+def expert_loss(
     network: nn.Module,
     demonstrations: Demonstrations,
     rng: np.random.Generator,
     size: int,
-    symmetry: int,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Cross entropy of the expert's moves among the legal ones, and how many of them the policy makes."""
+    symmetry: int = 0,
+    preference: Callable[[Tensor], Tensor] = lambda logits: logits[..., 0],
+) -> tuple[Tensor, Tensor]:
+    """Cross entropy of the expert's moves among the legal ones, and the share of them that the network makes too.
+
+    ``size`` pairs are drawn and turned by ``symmetry``; ``preference`` makes the logits of the moves of the network's ``[sample, move, atom]``.
+    """
     seen, moves = demonstrations.sample(rng, size)
     turned = turned_moves(symmetry)
     legal = action_masks(seen.flyable, seen.cells.clip(min=0))[np.arange(size), seen.uav][:, np.argsort(turned)]
-    logits = network(*network.inputs(seen, symmetry))[..., 0]  # type: ignore[operator]
+    logits = preference(network(*network.inputs(seen, symmetry)))  # type: ignore[operator]
     logits = logits.masked_fill(~torch.from_numpy(legal), -1e9)
     target = torch.from_numpy(turned[moves])
     return F.cross_entropy(logits, target), (logits.argmax(dim=1) == target).float().mean()
@@ -187,7 +191,7 @@ def _scored(
 def _held_out(network: nn.Module, demonstrations: Demonstrations) -> dict[str, float]:
     network.eval()
     with torch.inference_mode():
-        parts = [_scored(network, demonstrations, np.random.default_rng([2**32 - 1, k]), 256, 0) for k in range(8)]
+        parts = [expert_loss(network, demonstrations, np.random.default_rng([2**32 - 1, k]), 256) for k in range(8)]
     network.train()
     loss, agreed = (float(torch.stack([p[i] for p in parts]).mean()) for i in range(2))
     return {"held_out_loss": round(loss, 4), "agreement": round(agreed, 4)}
