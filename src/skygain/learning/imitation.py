@@ -177,7 +177,7 @@ def expert_loss(
 ) -> tuple[Tensor, Tensor]:
     """Cross entropy of the expert's moves among the legal ones, and the share of them that the network makes too.
 
-    ``size`` pairs are drawn and turned by ``symmetry``; ``preference`` makes the logits of the moves of the network's ``[sample, move, atom]``.
+    ``size`` pairs are drawn and turned by ``symmetry``; ``preference`` makes logits of moves of ``[sample, move, atom]``.
     """
     seen, moves = demonstrations.sample(rng, size)
     turned = turned_moves(symmetry)
