@@ -193,10 +193,17 @@ def survey(
 
 @app.command()
 def evaluate(
-    predictors: Annotated[str, typer.Option(help="Predictors, separated by commas.")] = "kriging",
+    predictors: Annotated[str | None, typer.Option(help="Predictors, separated by commas; kriging when left out.")] = None,
     planners: Annotated[
-        str, typer.Option(help="Planners, separated by commas; every predictor flies with every planner.")
-    ] = "random-waypoint",
+        str | None,
+        typer.Option(
+            help="Planners, separated by commas; every predictor flies with every planner. random-waypoint when left out."
+        ),
+    ] = None,
+    methods: Annotated[
+        str,
+        typer.Option(help="Further methods as in the tables, 'PREDICTOR / PLANNER', separated by commas; they can stand alone."),
+    ] = "",
     data: Annotated[str, typer.Option(help="Data set (PATH.zarr.zip), or 'sample'.")] = "sample",
     split: Annotated[str, typer.Option(help="T1, T2, T3 or T4.")] = "T4",
     uavs: Annotated[int, typer.Option(help="How many UAVs.")] = 3,
@@ -220,9 +227,11 @@ def evaluate(
     from skygain.evaluation.outputs import run_comparison
     from skygain.swarm import FlightRules
 
+    alone = bool(methods) and predictors is None and planners is None
     config = ComparisonConfig(
-        predictors=_names(predictors),
-        planners=_names(planners),
+        predictors=_names("kriging" if predictors is None and not alone else predictors or ""),
+        planners=_names("random-waypoint" if planners is None and not alone else planners or ""),
+        pairs=_names(methods),
         data=data,
         split=split,
         uavs=uavs,

@@ -108,3 +108,14 @@ def test_whole_maps_and_other_windows(tmp_path: Path) -> None:
     assert small.scores[label]["rmse_db"][0, -1] != whole.scores[label]["rmse_db"][0, -1]
     with pytest.raises(InputError, match="0 for whole maps"):
         replace(CONFIG, crop=-1)
+
+
+def test_methods_can_be_paired_one_by_one(folder: Path) -> None:
+    config = replace(CONFIG, predictors=("idw",), planners=("lawnmower",), pairs=("knn / random-waypoint", "idw / lawnmower"))
+    assert [m.label for m in config.methods] == ["idw / lawnmower", "knn / random-waypoint"]
+    table = comparison_markdown(compare(config, folder))  # flown already: the product and the pairs share one journal
+    assert "| knn / random-waypoint |" in table
+    assert "Flight saved" not in table
+    assert len(replace(config, predictors=(), planners=()).methods) == 2
+    with pytest.raises(InputError, match="predictor / planner"):
+        replace(config, pairs=("knn lawnmower",))

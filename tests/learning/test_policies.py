@@ -78,7 +78,9 @@ def test_demonstrations_are_learned_before_the_first_step_and_kept(tmp_path):
     taught = replace(SMALL, demonstrations=flights, demonstration_weight=1.0, pretraining=60, learning_rate=3e-4, batch_size=32)
     said = []
     whole = train_dqn(replace(taught, out=str(tmp_path / "whole"), total_steps=24), said.append)
-    assert [r["agreement"] for r in said if "pretraining" in r][-1] > 0.5  # of 2 to 4 legal moves; the last one is part of the view
+    assert [r["agreement"] for r in said if "pretraining" in r][
+        -1
+    ] > 0.5  # of 2 to 4 legal moves; the last one is part of the view
     assert whole.scores["agreement"] > 0.5
     train_dqn(replace(taught, out=str(tmp_path / "parts"), total_steps=15))
     parts = train_dqn(replace(taught, out=str(tmp_path / "parts"), total_steps=24))

@@ -68,9 +68,11 @@ class ComparisonConfig:
     """separation, the same for every planner compared"""
     seed: int = 0
     """draws the crops, the starts and the planners' randomness"""
+    pairs: tuple[str, ...] = ()
+    """further methods, each ``"predictor / planner"`` as in the tables"""
 
     def __post_init__(self) -> None:
-        if not self.predictors or not self.planners:
+        if not self.methods:
             raise InputError("a comparison needs at least one predictor and one planner; give names separated by commas")
         if self.steps < 1 or self.record_every < 1:
             raise InputError(f"steps and record_every must be 1 or more, got {self.steps} and {self.record_every}")
@@ -83,8 +85,9 @@ class ComparisonConfig:
 
     @property
     def methods(self) -> list[MethodSpec]:
-        """Every predictor with every planner, predictors first."""
-        return [MethodSpec(p, q) for p in self.predictors for q in self.planners]
+        """Every predictor with every planner, predictors first, then the pairs."""
+        product = [MethodSpec(p, q) for p in self.predictors for q in self.planners]
+        return list(dict.fromkeys([*product, *(MethodSpec.of_label(text) for text in self.pairs)]))
 
     @property
     def record_steps(self) -> list[int]:
@@ -94,7 +97,7 @@ class ComparisonConfig:
     @property
     def fingerprint(self) -> str:
         """Same for runs whose rollouts may be mixed: everything but the list of methods and the number of surveys."""
-        kept = {k: v for k, v in asdict(self).items() if k not in ("predictors", "planners", "max_surveys")}
+        kept = {k: v for k, v in asdict(self).items() if k not in ("predictors", "planners", "pairs", "max_surveys")}
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
 
 

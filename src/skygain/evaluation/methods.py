@@ -62,6 +62,18 @@ class MethodSpec:
     planner: str
     """text of the planner"""
 
+    @classmethod
+    def of_label(cls, text: str) -> MethodSpec:
+        """The method that ``text``, "predictor / planner", names.
+
+        Raises:
+            InputError: the text has not exactly two parts.
+        """
+        parts = [part.strip() for part in text.split(" / ")]
+        if len(parts) != 2 or not all(parts):
+            raise InputError(f"cannot read the method {text!r}; write it as in the tables: 'predictor / planner'")
+        return cls(*parts)
+
     @property
     def label(self) -> str:
         """For tables and legends."""

@@ -55,13 +55,21 @@ def _mean_curve(comparison: Comparison, label: str) -> np.ndarray:
 def _flight_rows(comparison: Comparison) -> list[tuple[str, str, str, float]]:
     """(predictor, planner, rival planner, flight saved) for planners that share a predictor."""
     rows = []
-    for predictor in comparison.config.predictors:
-        for ours in comparison.config.planners:
-            for rival in comparison.config.planners:
+    for predictor, planners in _planners_of(comparison).items():
+        for ours in planners:
+            for rival in planners:
                 if ours != rival:
                     mine, theirs = (_mean_curve(comparison, f"{predictor} / {p}") for p in (ours, rival))
                     rows.append((predictor, ours, rival, flight_saved(comparison.steps, mine, theirs)))
     return rows
+
+
+def _planners_of(comparison: Comparison) -> dict[str, list[str]]:
+    """The planners that each predictor was flown by."""
+    planners: dict[str, list[str]] = {}
+    for method in comparison.config.methods:
+        planners.setdefault(method.predictor, []).append(method.planner)
+    return planners
 
 
 def _gof(comparison: Comparison, label: str) -> float:
@@ -117,16 +125,17 @@ def comparison_markdown(comparison: Comparison) -> str:
         for label in labels[1:]:
             cells = [_signed(_paired(comparison, label, labels[0], k)) for k in shown]
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    if len(config.planners) > 1:
+    several = {predictor: planners for predictor, planners in _planners_of(comparison).items() if len(planners) > 1}
+    if several:
         lines += [
             "",
             f"Flight saved: {steps[-1]} steps divided by the steps a planner needs for the error its rival (column) has at T={steps[-1]}.",
         ]
-        for predictor in config.predictors:
+        for predictor, planners in several.items():
             saved = {(a, b): ratio for p, a, b, ratio in _flight_rows(comparison) if p == predictor}
-            lines += ["", f"| {predictor} | " + " | ".join(config.planners) + " |", "|---|" + "---|" * len(config.planners)]
-            for ours in config.planners:
-                row = ["–" if ours == b else _times(saved[ours, b]) for b in config.planners]
+            lines += ["", f"| {predictor} | " + " | ".join(planners) + " |", "|---|" + "---|" * len(planners)]
+            for ours in planners:
+                row = ["–" if ours == b else _times(saved[ours, b]) for b in planners]
                 lines.append(f"| {ours} | " + " | ".join(row) + " |")
     return "\n".join(lines) + "\n"
 

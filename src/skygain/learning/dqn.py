@@ -129,7 +129,9 @@ class DqnConfig:
         if self.network not in NETWORKS:
             raise InputError(f"unknown policy network {self.network!r}; known: {', '.join(NETWORKS)}")
         if (self.pretraining or self.demonstration_weight) and not self.demonstrations:
-            raise InputError("learning from demonstrations needs a folder of them; make one with: skygain train policy --recipe imitation")
+            raise InputError(
+                "learning from demonstrations needs a folder of them; make one with: skygain train policy --recipe imitation"
+            )
         if self.n_steps < 1 or self.atoms < 2 or not self.v_min < self.v_max or not 0 <= self.exploration <= 1:
             raise InputError("a DQN needs n_steps >= 1, atoms >= 2, v_min < v_max and exploration in 0..1")
 
