@@ -82,3 +82,17 @@ def test_upsampling_within_the_filter_is_upsampling_before_it():
     conv, x = UpsampledConv2d(5, 7), torch.randn(2, 5, 6, 8)
     expected = F.conv2d(F.pad(F.interpolate(x, scale_factor=2.0), (1, 2, 1, 2)), conv.weight, conv.bias)
     assert torch.allclose(conv(x), expected, atol=1e-5)
+
+
+def test_a_frozen_network_answers_as_the_trained_one_does(rng):
+    torch.manual_seed(0)
+    network = PaperUNets().eval()
+    truth = torch.from_numpy(rng.normal(-120, 20, (2, 96, 96)).astype(np.float32))
+    inputs = paper_inputs(torch.zeros(2, 96, 96), truth, torch.from_numpy(rng.random((2, 96, 96)) < 0.1), blind=False)
+    with torch.no_grad():
+        mean, log_variance = network(inputs)
+        frozen_mean, frozen_log_variance = network.frozen()(inputs)
+    assert frozen_mean.dtype == torch.float32
+    # bfloat16 has eight bits of 30 dB a unit; what is rounded in many layers averages out
+    assert (mean - frozen_mean).square().mean().sqrt() < 0.15
+    assert (log_variance - frozen_log_variance).square().mean().sqrt() < 0.02

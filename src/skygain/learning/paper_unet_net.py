@@ -53,12 +53,18 @@ class UpsampledConv2d(nn.Conv2d):
 
     def __init__(self, in_channels: int, out_channels: int) -> None:
         super().__init__(in_channels, out_channels, 4)
+        self.kept: tuple[Tensor, Tensor] | None = None
 
-    def forward(self, x: Tensor) -> Tensor:
+    def filters(self) -> tuple[Tensor, Tensor]:
+        """Weights and biases of the equivalent 3 × 3 convolution."""
         # out, in, row tap, col tap → out, row phase, col phase, in, row tap, col tap
         phases = torch.stack([torch.stack(_phases(rows, 3), dim=1) for rows in _phases(self.weight, 2)], dim=1)
         bias: Tensor = self.bias  # type: ignore[assignment]
-        return F.pixel_shuffle(F.conv2d(x, phases.flatten(0, 2), bias.repeat_interleave(4), padding=1), 2)
+        return phases.flatten(0, 2), bias.repeat_interleave(4)
+
+    def forward(self, x: Tensor) -> Tensor:
+        weight, bias = self.kept or self.filters()
+        return F.pixel_shuffle(F.conv2d(x, weight, bias, padding=1), 2)
 
 
 class PaperUNet(nn.Module):
@@ -85,7 +91,7 @@ class PaperUNet(nn.Module):
         y = self.activation(self.dense(x.flatten(1))).reshape(x.shape).contiguous(memory_format=torch.channels_last)
         for conv, skip in zip(self.decoder, (8, 7, 5, 3), strict=True):
             y = self.activation(conv(torch.cat([y, layers[skip - 1]], dim=1)))
-        return _same(self.last, torch.cat([y, layers[0]], dim=1))[:, 0]
+        return _same(self.last, torch.cat([y, layers[0]], dim=1).to(self.last.weight.dtype))[:, 0]
 
 
 class PaperUNets(nn.Module):
@@ -97,7 +103,25 @@ class PaperUNets(nn.Module):
         self.mean = PaperUNet(1 if blind else 2, "relu")
         self.variance = PaperUNet(1 if blind else 2, "tanh")
 
+    def frozen(self) -> PaperUNets:
+        """Made ready to answer, never to be trained again: filters worked out once, and bfloat16 where the processor computes in it.
+
+        The last layers stay in single precision, so that the answer is not rounded to steps of a bfloat16.
+        """
+        native = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+        self.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if native:
+            self.to(torch.bfloat16)
+            for net in (self.mean, self.variance):
+                net.last.float()
+        for layer in self.modules():
+            if isinstance(layer, UpsampledConv2d):
+                weight, bias = layer.filters()
+                layer.kept = weight.contiguous(memory_format=torch.channels_last), bias
+        return self
+
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        inputs = inputs.to(self.mean.dense.weight.dtype)
         mean = GAIN_CENTRE_DB + GAIN_SCALE_DB * self.mean(inputs).float()
         log_variance = math.log(15.0**2) + self.variance(inputs).float()
         return mean, log_variance.clamp(math.log(0.5**2), math.log(60.0**2))

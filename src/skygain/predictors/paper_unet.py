@@ -51,7 +51,7 @@ class PaperUNetPredictor(Predictor):
 
         network = PaperUNets(self.blind)
         load_network(network, self.weights)
-        return network
+        return network.frozen()
 
     def _evaluate(
         self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
