@@ -2,8 +2,8 @@
 
     python benchmarks/quantisation.py DATA.zarr.zip --checkpoint RUN/checkpoint.safetensors --windows 512
 
-scores one run's weights on random windows of T2 (its own training task: random waypoints, three UAVs) as they were trained (single
-precision), as they ship (dense layers in 8 and in 4 bits, the rest in half precision), and as the predictor uses them (the same, answering in
+scores one run's weights on random windows of T2 (random waypoints, three UAVs, as in training): as they were trained (single
+precision), as they ship (dense layers in 8 and in 4 bits, the rest in half precision), and as the predictor uses them (also answering in
 bfloat16). Table: benchmarks/results/quantisation.md.
 """
 

@@ -332,13 +332,13 @@ def train_kriging_command(
 
 @train_app.command("policy")
 def train_policy_command(
-    recipe: Annotated[str, typer.Option(help="paper-dqn, dqn or imitation.")],
+    recipe: Annotated[str, typer.Option(help="imitation, dqn (after it), dqn-rewards-only or paper-dqn.")],
     data: Annotated[Path, typer.Option(help="Data set; the recipe says which split is flown in.")],
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run, continued if it exists; by default in the user's cache.")
     ] = None,
     minutes: Annotated[float | None, typer.Option(help="Pause after this long; the same command goes on later.")] = None,
-    start_from: Annotated[str | None, typer.Option(help="Weight file to begin a DQN from.")] = None,
+    start_from: Annotated[str | None, typer.Option(help="Name or file of a policy to begin a DQN from.")] = None,
 ) -> None:
     """Train a policy by recipe; can be killed at any time and goes on where it stopped. The planner of that name finds the weights."""
     from skygain.learning import train_policy
@@ -366,6 +366,7 @@ def train_predictor_command(
     finish: Annotated[
         int | None, typer.Option(help="End the run: the learning rate falls to 0 over so many more steps.", min=1)
     ] = None,
+    start_from: Annotated[str | None, typer.Option(help="Name or file of weights, or a checkpoint, to begin from.")] = None,
 ) -> None:
     """Train a network by recipe; can be killed at any time and goes on where it stopped. The predictor of that name finds the weights."""
     from skygain.learning import train_predictor
@@ -373,5 +374,7 @@ def train_predictor_command(
     changes: dict[str, object] = {} if minutes is None else {"max_seconds": 60 * minutes}
     if finish is not None:
         changes["finish_steps"] = finish
+    if start_from is not None:
+        changes["start_from"] = start_from
     result = train_predictor(recipe, data, out, report=_say, **changes)
     print(f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores {result.scores}")

@@ -180,11 +180,11 @@ def test_dqn_recipe_makes_a_planner(tmp_path):
     settings = {
         k: getattr(SMALL, k) for k in ("predictor", "side", "steps", "lanes", "n_uavs", "warmup", "capacity", "batch_size")
     }
-    train_policy("dqn", "sample", tmp_path, total_steps=30, **settings)
+    train_policy("dqn-rewards-only", "sample", tmp_path, total_steps=30, **settings)
     from skygain.predictors import create_predictor
     from skygain.testing.planners import check_planner, planner_scenarios
 
-    planner = create_planner("dqn", weights=str(tmp_path / "dqn.safetensors"), symmetries=2)
+    planner = create_planner("dqn", weights=str(tmp_path / "dqn-rewards-only.safetensors"), symmetries=2)
     settings = [planner_scenarios()[k] for k in (3, 6, 9)]  # empty batteries, everyone returns, no move at all
     check_planner(planner, create_predictor("idw"), settings=settings)
 
@@ -212,7 +212,7 @@ def test_imitation_resumes_and_learns_from_its_own_flights(tmp_path):
 
 
 def test_unknown_recipes_settings_and_weights_are_refused(tmp_path):
-    with pytest.raises(InputError, match="known: dqn, imitation, paper-dqn"):
+    with pytest.raises(InputError, match="known: dqn, dqn-rewards-only, imitation, paper-dqn"):
         train_policy("a3c", "sample", tmp_path)
     with pytest.raises(InputError, match="no setting 'start_from'"):
         train_policy("imitation", "sample", tmp_path, start_from="x")

@@ -35,9 +35,11 @@ from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
 from skygain.learning.demonstrations import Demonstrations
 from skygain.learning.imitation import expert_loss
 from skygain.learning.policy_inputs import Seen, moves_of, turned_moves
+from skygain.learning.policy_weights import policy_file
 from skygain.learning.q_network import NETWORKS, policy_network
 from skygain.learning.replay import Replay, ReplayConfig, Transitions
 from skygain.learning.run_state import autocast, optimiser_tensors, restore_optimiser, under
+from skygain.learning.weights import runs_folder
 
 Moves = NDArray[np.int64]
 
@@ -105,9 +107,9 @@ class DqnConfig:
     bf16: bool = True
     """bfloat16 autocast where the CPU has it"""
     start_from: str = ""
-    """weight file whose tensors, as far as they fit, begin this run"""
+    """name or file of a policy whose tensors, as far as they fit, begin this run"""
     demonstrations: str = ""
-    """folder of flights of an expert (those of an imitation run), or none"""
+    """flights of an expert: the name of an imitation run, or a folder of its demonstrations; none if empty"""
     demonstration_weight: float = 0.0
     """λ, of the expert's cross entropy beside the temporal-difference loss"""
     temperature: float = 0.05
@@ -335,9 +337,12 @@ def _preference(z: Tensor, config: DqnConfig) -> Callable[[Tensor], Tensor]:
 def _demonstrations(config: DqnConfig) -> Demonstrations | None:
     if not config.demonstrations:
         return None
-    files = sorted(Path(config.demonstrations).glob("*.npz"))
+    folders = (Path(config.demonstrations), runs_folder() / config.demonstrations / "demonstrations")
+    files = next((found for folder in folders if (found := sorted(folder.glob("*.npz")))), [])
     if not files:
-        raise InputError(f"no demonstrations in {config.demonstrations}; give the folder demonstrations/ of an imitation run")
+        raise InputError(
+            f"no demonstrations in {config.demonstrations}; make some with: skygain train policy --recipe imitation --data CITIES.zarr.zip"
+        )
     return Demonstrations.load(files)
 
 
@@ -367,9 +372,9 @@ def _last_moves(held: Moves, cells: Moves, last: Moves, ended: NDArray[np.bool_]
 
 
 def _warm_start(network: nn.Module, file: str) -> None:
-    """Take over the tensors of a weight file that have the same name and shape."""
+    """Take over the tensors of a policy that have the same name and shape."""
     state = network.state_dict()
-    tensors = load_checkpoint(Path(file))[0]
+    tensors = load_checkpoint(policy_file(file))[0]
     network.load_state_dict(
         {
             key: tensors[key].float() if key in tensors and tensors[key].shape == value.shape else value

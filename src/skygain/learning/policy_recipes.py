@@ -18,29 +18,32 @@ from skygain.learning.policy_weights import export_policy
 from skygain.learning.run_state import under
 from skygain.learning.weights import runs_folder
 
+REWARDS_ONLY = DqnConfig(
+    predictor="paper-unet",
+    network="centred",
+    double=True,
+    dueling=True,
+    start="mixed",
+    reward=RewardConfig(explore=0.005, error=0.01, shaping=True, discount=0.99),
+    v_min=-3.0,
+    v_max=12.0,
+    exploration=0.05,
+    learning_rate=1e-4,
+    batch_size=128,
+    learn_every=2,
+    target_every=500,
+    warmup=3000,
+    capacity=300_000,
+    augment=True,
+    bf16=False,
+    split="T1",
+    checkpoint_steps=500,
+)
+
 POLICY_RECIPES: dict[str, DqnConfig | ImitationConfig] = {
     "paper-dqn": DqnConfig(),
-    "dqn": DqnConfig(
-        predictor="kriging",
-        network="centred",
-        double=True,
-        dueling=True,
-        start="mixed",
-        reward=RewardConfig(explore=0.005, error=0.01, shaping=True, discount=0.99),
-        v_min=-3.0,
-        v_max=12.0,
-        exploration=0.05,
-        learning_rate=1e-4,
-        batch_size=128,
-        learn_every=2,
-        target_every=500,
-        warmup=3000,
-        capacity=300_000,
-        augment=True,
-        bf16=False,
-        split="T1",
-        checkpoint_steps=500,
-    ),
+    "dqn": replace(REWARDS_ONLY, start_from="imitation", demonstrations="imitation", demonstration_weight=0.5, pretraining=300),
+    "dqn-rewards-only": REWARDS_ONLY,
     "imitation": ImitationConfig(),
 }
 """complete settings but for the paths"""

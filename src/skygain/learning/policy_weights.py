@@ -6,7 +6,7 @@ quarter of the space.
 
 from __future__ import annotations
 
-__all__ = ["export_policy", "load_policy"]
+__all__ = ["export_policy", "load_policy", "policy_file"]
 
 import json
 from pathlib import Path
@@ -34,21 +34,31 @@ def export_policy(state: dict[str, Tensor], path: Path, card: dict[str, Any]) ->
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
 
 
+def policy_file(weights: str | Path) -> Path:
+    """The file ``weights`` if it ends in ``.safetensors``, else that of the policy of this name.
+
+    Raises:
+        InputError: there is none; the message says which command makes it.
+    """
+    path = Path(weights)
+    if path.suffix == ".safetensors":
+        return path
+    try:
+        return find_weights(str(weights))
+    except InputError:
+        raise InputError(
+            f"the policy {str(weights)!r} does not ship with this version and was not trained here; make it with: "
+            f"skygain train policy --recipe {weights} --data CITIES.zarr.zip"
+        ) from None
+
+
 def load_policy(weights: str | Path) -> tuple[nn.Module, Tensor | None]:
     """A trained policy by name or file: the network, and the support of its returns (``None`` for an imitator).
 
     Raises:
         InputError: there are no such weights, or the file is no policy's.
     """
-    path = Path(weights)
-    if path.suffix != ".safetensors":
-        try:
-            path = find_weights(str(weights))
-        except InputError:
-            raise InputError(
-                f"the policy {str(weights)!r} does not ship with this version and was not trained here; make it with: "
-                f"skygain train policy --recipe {weights} --data CITIES.zarr.zip"
-            ) from None
+    path = policy_file(weights)
     tensors, card = load_checkpoint(path)
     if "policy" not in card:
         raise InputError(f"{path} holds no policy; give a file written by `skygain train policy`")

@@ -48,9 +48,9 @@ RECIPES: dict[str, TrainConfig] = {
     "unet": replace(OURS, task=DirectTask()),
     "paper-unet": PAPER,
     "paper-unet-mapblind": replace(PAPER, task=PaperTask(blind=True)),
-    "paper-unet-5": replace(PAPER, task=PaperTask(uavs=5)),
-    "paper-unet-20m": replace(PAPER, task=PaperTask(altitude_m=20.0)),
-    "paper-unet-30m": replace(PAPER, task=PaperTask(altitude_m=30.0)),
+    "paper-unet-5": replace(PAPER, task=PaperTask(uavs=5), start_from="paper-unet"),
+    "paper-unet-20m": replace(PAPER, task=PaperTask(altitude_m=20.0), start_from="paper-unet"),
+    "paper-unet-30m": replace(PAPER, task=PaperTask(altitude_m=30.0), start_from="paper-unet"),
 }
 """Complete settings but for the paths."""
 

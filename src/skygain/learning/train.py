@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
 from skygain.learning.run_state import optimiser_tensors, restore_optimiser, under
 from skygain.learning.tasks import Batch, Task
+from skygain.learning.weights import load_network
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class TrainConfig:
     validation_split: str = "T2"
     """split to validate on"""
     start_from: str = ""
-    """checkpoint whose averaged weights start this run (only where it has none of its own)"""
+    """name or file of the weights, or a run's checkpoint, that this run starts from (only where it has no checkpoint of its own)"""
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         restore_optimiser(optimiser, under("optimiser.", tensors))
         average = {key: value.to(device) for key, value in under("average.", tensors).items()}
     elif config.start_from:
-        network.load_state_dict(under("average.", load_checkpoint(Path(config.start_from))[0]), strict=False)
+        load_network(network, config.start_from)
         average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
     if finish is None and config.finish_steps:
         finish = [step, config.finish_steps]

@@ -1,0 +1,38 @@
+#!/bin/sh
+# The test cities, T4, with everything that was chosen on T2 and T3:  sh benchmarks/test_cities.sh DATA.zarr.zip [OUT]
+# Each comparison can be killed and goes on; tables and numbers are copied to benchmarks/results/test_cities_*.
+set -eu
+data=$1 out=${2:-surveys/test-cities}
+here=$(dirname "$0")
+skygain=${SKYGAIN:-skygain}
+
+compare() {
+    name=$1
+    shift
+    "$skygain" evaluate --data "$data" --split T4 --out "$out/$name" "$@"
+    cp "$out/$name/table.md" "$here/results/test_cities_$name.md"
+    cp "$out/$name/results.json" "$here/results/test_cities_$name.json"
+    cp "$out/$name/rmse_vs_steps.png" "$here/../docs/images/test_cities_$name.png"
+}
+
+# Predictors, random waypoints, three UAVs from a cluster.
+compare predictors --max-surveys 60 --planners random-waypoint \
+    --predictors kriging,paper-unet,paper-unet-mapblind,unet,operator,operator+tx
+
+# Planners, three UAVs from a cluster: the paper's predictor, ours, and Kriging.
+both="paper-unet / random-waypoint,paper-unet / greedy-variance,paper-unet / lawnmower,paper-unet / sequential-greedy"
+both="$both,paper-unet / imitation,paper-unet / dqn"
+both="$both,operator / random-waypoint,operator / greedy-variance,operator / lawnmower,operator / sequential-greedy,operator / lookahead"
+compare planners --max-surveys 30 --methods "$both"
+
+# The same from starts all over the map, and with five UAVs from a cluster.
+few="random-waypoint greedy-variance"
+spread="" five=""
+for planner in $few dqn; do
+    spread="$spread,paper-unet / $planner" five="$five,paper-unet:weights=paper-unet-5 / $planner"
+done
+for planner in $few lookahead; do
+    spread="$spread,operator / $planner" five="$five,operator / $planner"
+done
+compare spread --max-surveys 30 --start spread --methods "${spread#,}"
+compare five --max-surveys 30 --uavs 5 --methods "${five#,}"
