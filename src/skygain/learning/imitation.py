@@ -47,7 +47,7 @@ class ImitationConfig:
     """path of the data set"""
     out: str = ""
     """folder of the run: demonstrations/, checkpoint.safetensors, policy-ROUND.safetensors, log.jsonl, config.json"""
-    predictors: tuple[str, ...] = ("kriging", "kriging", "operator")
+    predictors: tuple[str, ...] = ("paper-unet", "paper-unet", "operator", "kriging")
     """predictor texts whose beliefs are flown on, in turn"""
     expert: str = "sequential-greedy"
     """planner text of the expert"""
@@ -59,9 +59,9 @@ class ImitationConfig:
     """cells along the edge of the map"""
     steps: int = 200
     """T"""
-    surveys: tuple[int, ...] = (48, 60, 60)
+    surveys: tuple[int, ...] = (40, 40, 40)
     """surveys flown in each round"""
-    updates: tuple[int, ...] = (400, 1500, 2500)
+    updates: tuple[int, ...] = (500, 800, 1200)
     """of the network in each round"""
     held_out: int = 4
     """surveys of each round that are not trained on but scored"""

@@ -26,7 +26,7 @@ REWARDS_ONLY = DqnConfig(
     start="mixed",
     reward=RewardConfig(explore=0.005, error=0.01, shaping=True, discount=0.99),
     v_min=-3.0,
-    v_max=12.0,
+    v_max=16.0,
     exploration=0.05,
     learning_rate=1e-4,
     batch_size=128,

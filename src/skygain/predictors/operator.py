@@ -71,7 +71,7 @@ class OperatorSettings:
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
     variance_factor: float = 0.85
-    """calibration of the variance, see benchmarks/calibration.py; errors have heavy tails, so that intervals want less than the mean square"""
+    """calibration of the variance, see benchmarks/calibration.py; errors have heavy tails, so intervals want less than the mean square"""
 
 
 @dataclass(frozen=True)
