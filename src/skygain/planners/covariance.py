@@ -32,7 +32,7 @@ from skygain.predictors.base import Belief
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
-FALLBACK_RANGE_M = 25.0
+FALLBACK_RANGE_M = 60.0
 """δ_f, decorrelation distance of what a deep belief still does not know"""
 JITTER = 1e-6
 """share of the prior variance added to the variance of a reading, which keeps exact readings of near cells invertible"""
