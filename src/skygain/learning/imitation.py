@@ -59,9 +59,9 @@ class ImitationConfig:
     """cells along the edge of the map"""
     steps: int = 200
     """T"""
-    surveys: tuple[int, ...] = (40, 40, 40)
+    surveys: tuple[int, ...] = (40, 32)
     """surveys flown in each round"""
-    updates: tuple[int, ...] = (500, 800, 1200)
+    updates: tuple[int, ...] = (500, 1200)
     """of the network in each round"""
     held_out: int = 4
     """surveys of each round that are not trained on but scored"""
