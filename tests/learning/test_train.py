@@ -1,5 +1,7 @@
 """Training is repeatable, resumes to the same bytes, and its loss is the likelihood."""
 
+import contextlib
+import copy
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +18,9 @@ from skygain.learning.likelihood import gaussian_loss
 from skygain.learning.links import load_links
 from skygain.learning.operator_net import OperatorConfig
 from skygain.learning.recipes import RECIPES
-from skygain.learning.survey_tasks import DirectTask
+from skygain.learning.survey_tasks import DirectTask, PaperTask
 from skygain.learning.tasks import OperatorTask
+from skygain.learning.train import _Shares
 
 SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
@@ -62,6 +65,22 @@ def test_a_run_can_start_from_the_weights_of_another(tmp_path):
     second = train_predictor("operator", SAMPLE, tmp_path / "b", total_steps=1, **QUICK, **start)
     one, two = load_checkpoint(first.checkpoint)[0], load_checkpoint(second.checkpoint)[0]
     assert torch.equal(one["average.head.weight"], two["network.head.weight"])
+
+
+@pytest.mark.parametrize("task", [PaperTask(), OperatorTask(side=32, net=SMALL), DirectTask(side=32, net=SMALL)])
+def test_shared_work_takes_the_step_that_one_worker_would(task):
+    """Gradients in another memory layout than their parameters would be applied to the wrong weights by the fused optimiser."""
+    torch.manual_seed(0)
+    plain = task.network().to(memory_format=torch.channels_last).train()
+    shared = copy.deepcopy(plain)
+    batch = task.batch(load_links(SAMPLE, "T1"), 2, np.random.default_rng(0))
+    part = {key: value[:1].repeat(2, *[1] * (value.ndim - 1)) for key, value in batch.items()}  # equal shares have equal statistics
+    task.loss(plain, part).backward()
+    _Shares(task, shared, 2, contextlib.nullcontext, torch.device("cpu")).gradients(part)
+    for network in (plain, shared):
+        torch.optim.AdamW(network.parameters(), 1e-3, eps=1e-2, fused=True).step()
+    for (name, one), two in zip(plain.named_parameters(), shared.parameters(), strict=True):
+        assert torch.allclose(one, two, atol=2e-5), name
 
 
 def test_learning_lowers_the_loss_on_what_it_trains_on():

@@ -233,7 +233,8 @@ class _Shares:
         for more in gradients[1:]:
             torch._foreach_add_(total, more)
         for p, gradient in zip(self.parameters, total, strict=True):
-            p.grad = gradient
+            # Fused Adam walks through memory, so a gradient must lie as its parameter does (channels last).
+            p.grad = gradient if gradient.stride() == p.stride() else torch.empty_like(p).copy_(gradient)
         with torch.no_grad():  # the running statistics of the normalisation layers are those of all shares
             for buffers in zip(*(network.named_buffers() for network in self.networks), strict=True):
                 if "running_" in buffers[0][0]:
