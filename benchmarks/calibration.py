@@ -13,6 +13,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.metrics import VARIANCE_FLOOR_DB2
 from skygain.evaluation.rollout import Recorder
 from skygain.instruments.simulated import PerfectInstrument
+from skygain.predictors.operator import OperatorPredictor
 from skygain.survey import Survey
 from skygain.swarm import Swarm
 
@@ -43,6 +45,8 @@ def main() -> None:
         for name in PLANNERS:
             method = MethodSpec(options.predictor, name)
             predictor = method.build_predictor()
+            if isinstance(predictor, OperatorPredictor):
+                predictor = replace(predictor, settings=replace(predictor.settings, variance_factor=1.0))
             scenario = method.visible(case.scenario(), predictor)
             recorder = Recorder(frozenset(STEPS), case.truth_db, case.ray_traced, keep_maps=True)
             swarm = Swarm.deployed(scenario, case.start_cells, STEPS[-1])

@@ -4,7 +4,7 @@
 
 reads ``RUNS/*/log.jsonl`` (by default the user's cache), adds what it finds to benchmarks/results/learning_curves.json, and draws all runs
 known there: validation error and likelihood of predictors against samples seen (docs/images/learning_curves.png), and what policies in
-training reached at the end of their surveys against joint steps flown (docs/images/policy_curves.png). The table of the newest scores is
+training reached at the end of their surveys against updates (docs/images/policy_curves.png). The table of the newest scores is
 printed and goes to benchmarks/results/learning_curves.md.
 """
 

@@ -74,7 +74,9 @@ def test_shared_work_takes_the_step_that_one_worker_would(task):
     plain = task.network().to(memory_format=torch.channels_last).train()
     shared = copy.deepcopy(plain)
     batch = task.batch(load_links(SAMPLE, "T1"), 2, np.random.default_rng(0))
-    part = {key: value[:1].repeat(2, *[1] * (value.ndim - 1)) for key, value in batch.items()}  # equal shares have equal statistics
+    part = {
+        key: value[:1].repeat(2, *[1] * (value.ndim - 1)) for key, value in batch.items()
+    }  # equal shares have equal statistics
     task.loss(plain, part).backward()
     _Shares(task, shared, 2, contextlib.nullcontext, torch.device("cpu")).gradients(part)
     for network in (plain, shared):

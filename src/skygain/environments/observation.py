@@ -47,14 +47,15 @@ def planes(
 ) -> NDArray[np.float32]:
     """``[sample, plane, row, col]`` in 0..1 from packed maps ``[sample, row, col]``.
 
-    ``cells[sample, uav, (row, col)]`` are all UAVs, ``uav[sample]`` says which one looks.
+    ``cells[sample, uav, (row, col)]`` are all UAVs, rows of −1 none; ``uav[sample]`` says which one looks.
     """
     cells, uav = np.asarray(cells), np.asarray(uav)
     count = np.arange(len(mean))
     out = np.zeros((len(mean), len(PLANES), *mean.shape[1:]), dtype=np.float32)
     for k, packed in enumerate((mean, std, height)):
         np.multiply(packed, np.float32(1 / 255), out=out[:, k])
-    out[count[:, None], 3, cells[..., 0], cells[..., 1]] = 1.0
+    sample, who = np.nonzero(cells[..., 0] >= 0)
+    out[sample, 3, cells[sample, who, 0], cells[sample, who, 1]] = 1.0
     own = cells[count, uav]
     out[count, 4, own[:, 0], own[:, 1]] = 1.0
     return out

@@ -189,14 +189,15 @@ class SurveyBatch:
     def restore(self, state: Sequence[dict[str, Any]]) -> None:
         """Come back to what `lanes_state` described, by flying it again."""
         self.begin_episodes(range(self.n_surveys), [s["episode"] for s in state])
-        for k, (lane, saved) in enumerate(zip(self._lanes, state, strict=True)):
-            for actions in saved["actions"]:
-                before = self.error_db.copy()
-                new = self._moved(lane, np.asarray(actions, dtype=np.int64))
-                self._look([k])
-                ended = np.zeros(1, dtype=bool)
-                gained = rewards(self.config.reward, new[None], ended, before[[k]], self.error_db[[k]])
-                lane.returned += float(gained.mean(axis=1)[0])
+        # Lanes are looked at together, as they were the first time: a network's last bits depend on the size of its batch.
+        for t in range(max((len(s["actions"]) for s in state), default=0)):
+            flown = [k for k, s in enumerate(state) if t < len(s["actions"])]
+            before = self.error_db[flown].copy()
+            new = np.stack([self._moved(self._lanes[k], np.asarray(state[k]["actions"][t], dtype=np.int64)) for k in flown])
+            self._look(flown)
+            gained = rewards(self.config.reward, new, np.zeros(len(flown), dtype=bool), before, self.error_db[flown])
+            for k, value in zip(flown, gained.mean(axis=1), strict=True):
+                self._lanes[k].returned += float(value)
 
     def _begun(self, lane: int) -> _Lane:
         world = self.worlds.draw(np.random.default_rng([self.seed, lane, int(self.episode[lane])]), self.config.n_uavs)

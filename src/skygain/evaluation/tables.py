@@ -126,6 +126,8 @@ def comparison_markdown(comparison: Comparison) -> str:
             cells = [_signed(_paired(comparison, label, labels[0], k)) for k in shown]
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
     several = {predictor: planners for predictor, planners in _planners_of(comparison).items() if len(planners) > 1}
+    for predictor, planners in several.items():
+        lines += _paired_planners(comparison, predictor, planners, sorted({shown[-2], shown[-1]}) if len(shown) > 1 else shown)
     if several:
         lines += [
             "",
@@ -138,6 +140,18 @@ def comparison_markdown(comparison: Comparison) -> str:
                 row = ["–" if ours == b else _times(saved[ours, b]) for b in planners]
                 lines.append(f"| {ours} | " + " | ".join(row) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _paired_planners(comparison: Comparison, predictor: str, planners: list[str], steps: list[int]) -> list[str]:
+    """Tables of the paired differences between planners of one predictor, at the recorded ``steps``."""
+    lines: list[str] = []
+    for k in steps:
+        lines += ["", f"Paired difference of RMSE at T={comparison.steps[k]} between planners (row minus column), dB.", ""]
+        lines += [f"| {predictor} | " + " | ".join(planners[:-1]) + " |", "|---|" + "---|" * (len(planners) - 1)]
+        for i, planner in enumerate(planners[1:], 1):
+            cells = [_signed(_paired(comparison, f"{predictor} / {planner}", f"{predictor} / {p}", k)) for p in planners[:i]]
+            lines.append(f"| {planner} | " + " | ".join(cells + [""] * (len(planners) - 1 - i)) + " |")
+    return lines
 
 
 def _signed(interval: Interval) -> str:

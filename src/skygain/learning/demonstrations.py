@@ -79,8 +79,9 @@ class Demonstrations:
 
     def save(self, path: Path) -> None:
         """Write to ``path`` (.npz), atomically."""
-        part = path.with_suffix(".part.npz")
-        np.savez(part, **{f.name: getattr(self, f.name) for f in fields(self)})
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
         part.rename(path)
 
     @classmethod

@@ -37,6 +37,7 @@ from skygain.learning.imitation import expert_loss
 from skygain.learning.policy_inputs import Seen, moves_of, turned_moves
 from skygain.learning.policy_weights import policy_file
 from skygain.learning.q_network import NETWORKS, policy_network
+from skygain.learning.quantised import dequantised
 from skygain.learning.replay import Replay, ReplayConfig, Transitions
 from skygain.learning.run_state import autocast, optimiser_tensors, restore_optimiser, under
 from skygain.learning.weights import runs_folder
@@ -179,7 +180,6 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
     online, target = _new_network(config), _new_network(config)
     optimiser = torch.optim.Adam(online.parameters(), config.learning_rate, eps=config.adam_epsilon)
     z = support(config.v_min, config.v_max, config.atoms)
-    expert = _demonstrations(config)
     step, updates, seconds, scores, last = 0, 0, 0.0, {}, np.full(surveys.cells.shape[:2], -1)
     if path.exists():
         tensors, meta = load_checkpoint(path)
@@ -189,11 +189,15 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
         target.load_state_dict(under("target.", tensors))
         restore_optimiser(optimiser, under("optimiser.", tensors))
         surveys.restore(meta["lanes"])
+        watched = meta["demonstrations"]
     else:
+        watched = [str(file) for file in _demonstration_files(config)]
         if config.start_from:
             _warm_start(online, config.start_from)
-        _pretrain(online, expert, z, config, report)
+        if watched:
+            _pretrain(online, Demonstrations.load([Path(file) for file in watched]), z, config, report)
         target.load_state_dict(online.state_dict())
+    expert = Demonstrations.load([Path(file) for file in watched]) if watched and config.demonstration_weight else None
     memory = ReplayConfig(config.lanes, config.n_uavs, config.side, config.steps, config.capacity, config.checkpoint_steps)
     replay = Replay(folder / "replay", memory, step)
     (folder / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))
@@ -207,6 +211,7 @@ def train_dqn(config: DqnConfig, report: Callable[[dict[str, Any]], None] = lamb
         parts = {"network": online.state_dict(), "target": target.state_dict(), "optimiser": optimiser_tensors(optimiser)}
         tensors = {f"{name}.{k}": v.clone() for name, state in parts.items() for k, v in state.items()}
         meta = {"step": step, "updates": updates, "seconds": seconds, "scores": scores, "last": last.tolist()}
+        meta["demonstrations"] = watched  # the same ones when the run goes on, whatever was flown since
         plain = json.loads(json.dumps(asdict(config), default=str))
         save_checkpoint(path, tensors, {**meta, "lanes": surveys.lanes_state(), "config": plain})
 
@@ -334,28 +339,28 @@ def _preference(z: Tensor, config: DqnConfig) -> Callable[[Tensor], Tensor]:
     return lambda logits: expected(logits, z) / config.temperature
 
 
-def _demonstrations(config: DqnConfig) -> Demonstrations | None:
+def _demonstration_files(config: DqnConfig) -> list[Path]:
     if not config.demonstrations:
-        return None
+        return []
     folders = (Path(config.demonstrations), runs_folder() / config.demonstrations / "demonstrations")
     files = next((found for folder in folders if (found := sorted(folder.glob("*.npz")))), [])
     if not files:
         raise InputError(
             f"no demonstrations in {config.demonstrations}; make some with: skygain train policy --recipe imitation --data CITIES.zarr.zip"
         )
-    return Demonstrations.load(files)
+    return files
 
 
 def _pretrain(
-    network: nn.Module, expert: Demonstrations | None, z: Tensor, config: DqnConfig, report: Callable[[dict[str, Any]], None]
+    network: nn.Module, expert: Demonstrations, z: Tensor, config: DqnConfig, report: Callable[[dict[str, Any]], None]
 ) -> None:
     """Updates on demonstrations alone; a run killed here begins again."""
     optimiser = torch.optim.Adam(network.parameters(), 10 * config.learning_rate, eps=config.adam_epsilon)
     agreements = []
-    for k in range(config.pretraining if expert is not None else 0):
+    for k in range(config.pretraining):
         rng = np.random.default_rng([config.seed, 3, k])
         symmetry = int(rng.integers(8)) if config.augment else 0
-        loss, agreed = expert_loss(network, expert, rng, config.batch_size, symmetry, _preference(z, config))  # type: ignore[arg-type]
+        loss, agreed = expert_loss(network, expert, rng, config.batch_size, symmetry, _preference(z, config))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -372,9 +377,15 @@ def _last_moves(held: Moves, cells: Moves, last: Moves, ended: NDArray[np.bool_]
 
 
 def _warm_start(network: nn.Module, file: str) -> None:
-    """Take over the tensors of a policy that have the same name and shape."""
+    """Take over the tensors of a policy, or of a run's checkpoint, that have the same name and shape."""
     state = network.state_dict()
-    tensors = load_checkpoint(policy_file(file))[0]
+    path = policy_file(file)
+    tensors = load_checkpoint(path)[0]
+    tensors = under("network.", tensors) or dequantised(tensors)
+    if not any(key in state and state[key].shape == value.shape for key, value in tensors.items()):
+        raise InputError(
+            f"nothing in {path} fits the network of this run; give the weights of a policy with the same kind of network"
+        )
     network.load_state_dict(
         {
             key: tensors[key].float() if key in tensors and tensors[key].shape == value.shape else value

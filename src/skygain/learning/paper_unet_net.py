@@ -11,6 +11,7 @@ from __future__ import annotations
 
 __all__ = ["GAIN_SCALE_DB", "PADDING_DB", "SIDE", "PaperUNet", "PaperUNets", "UpsampledConv2d", "paper_inputs"]
 
+import copy
 import itertools
 import math
 from collections.abc import Callable
@@ -54,6 +55,7 @@ class UpsampledConv2d(nn.Conv2d):
     def __init__(self, in_channels: int, out_channels: int) -> None:
         super().__init__(in_channels, out_channels, 4)
         self.kept: tuple[Tensor, Tensor] | None = None
+        """the filters worked out once and for all, in a network that is not trained any more"""
 
     def filters(self) -> tuple[Tensor, Tensor]:
         """Weights and biases of the equivalent 3 × 3 convolution."""
@@ -79,6 +81,8 @@ class PaperUNet(nn.Module):
         self.dense = nn.Linear(4608, 4608)
         self.decoder = nn.ModuleList(UpsampledConv2d(a, b) for a, b in DECODER)
         self.last = nn.Conv2d(32, 1, 4)
+        self.frozen = False
+        """whether the last layer computes in single precision whatever the others do"""
 
     def forward(self, x: Tensor) -> Tensor:
         layers = []
@@ -91,7 +95,8 @@ class PaperUNet(nn.Module):
         y = self.activation(self.dense(x.flatten(1))).reshape(x.shape).contiguous(memory_format=torch.channels_last)
         for conv, skip in zip(self.decoder, (8, 7, 5, 3), strict=True):
             y = self.activation(conv(torch.cat([y, layers[skip - 1]], dim=1)))
-        return _same(self.last, torch.cat([y, layers[0]], dim=1).to(self.last.weight.dtype))[:, 0]
+        y = torch.cat([y, layers[0]], dim=1)
+        return _same(self.last, y.float() if self.frozen else y)[:, 0]
 
 
 class PaperUNets(nn.Module):
@@ -110,14 +115,15 @@ class PaperUNets(nn.Module):
         """
         native = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
         self.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        if native:
-            self.to(torch.bfloat16)
-            for net in (self.mean, self.variance):
-                net.last.float()
+        dtype = torch.bfloat16 if native else torch.float32
         for layer in self.modules():
             if isinstance(layer, UpsampledConv2d):
                 weight, bias = layer.filters()
-                layer.kept = weight.contiguous(memory_format=torch.channels_last), bias
+                layer.kept = weight.to(dtype).contiguous(memory_format=torch.channels_last), bias.to(dtype)
+        for net in (self.mean, self.variance):
+            last = copy.deepcopy(net.last)
+            net.to(dtype)
+            net.last, net.frozen = last, True
         return self
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:

@@ -80,7 +80,10 @@ def train_policy(
         result = train_imitation(replace(recipe, data=str(data), out=str(folder), **changes), report)
         policy = SHAPE
     tensors, meta = load_checkpoint(result.checkpoint)
-    kept = {key: value for key, value in meta["config"].items() if key not in ("data", "out", "start_from")}
+    kept = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
+    for key in ("start_from", "demonstrations"):
+        if key in kept:
+            kept[key] = "/".join(Path(kept[key]).parts[-2:])  # no folder of this machine
     card = {
         "name": name,
         "data": Path(data).name,

@@ -85,6 +85,8 @@ def train_predictor(
     folder = Path(out) if out is not None else runs_folder() / name
     weights = folder / f"{name}.safetensors"
     if name == "path-model":
+        if unknown := [key for key in changes if key not in ("rounds", "seed")]:
+            raise InputError(f"the path model trains in a minute and has no option {unknown[0]!r}; leave it out")
         return train_path_model(data, weights, report=report, **changes)
     result = train(replace(recipe(name), data=str(data), out=str(folder), **changes), report)
     bits = PAPER_BITS if name.startswith("paper-unet") else 0

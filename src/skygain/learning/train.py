@@ -27,9 +27,10 @@ import torch
 from torch import Tensor, nn
 
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.run_state import autocast as native_autocast
 from skygain.learning.run_state import optimiser_tensors, restore_optimiser, under
 from skygain.learning.tasks import Batch, Task
-from skygain.learning.weights import load_network
+from skygain.learning.weights import load_network, runs_folder
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class TrainConfig:
     clip_norm: float = 1.0
     """largest gradient norm; 0 for no limit"""
     workers: int = 2
-    """shares of a batch computed side by side, each by one CPU thread on its own copy of the network (on CUDA always 1).
+    """shares of a batch computed side by side, each by one CPU thread on the same weights (on CUDA always 1).
     Threads inside every single operation wait for each other hundreds of times a step, which a shared machine punishes"""
     bf16: bool = True
     """bfloat16 autocast (on CPUs that support it about three times as fast)"""
@@ -127,7 +128,8 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         restore_optimiser(optimiser, under("optimiser.", tensors))
         average = {key: value.to(device) for key, value in under("average.", tensors).items()}
     elif config.start_from:
-        load_network(network, config.start_from)
+        kept = runs_folder() / config.start_from / "checkpoint.safetensors"  # finer than the weights exported from it
+        load_network(network, kept if kept.exists() else config.start_from)
         average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
     if finish is None and config.finish_steps:
         finish = [step, config.finish_steps]
@@ -136,7 +138,8 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
     average_decay = config.average_decay if finish is None else min(config.average_decay, max(0.0, 1.0 - 10.0 / finish[1]))
     (folder / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))
 
-    autocast = functools.partial(torch.autocast, device.type, dtype=torch.bfloat16, enabled=config.bf16)
+    on_cuda = functools.partial(torch.autocast, "cuda", dtype=torch.bfloat16, enabled=config.bf16)
+    autocast = native_autocast(config.bf16) if device.type == "cpu" else on_cuda
     trial = task.network().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     trial.load_state_dict(network.state_dict())
     validation = [_to(batch, device) for batch in _validation_batches(config, held_out)]

@@ -87,5 +87,6 @@ def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
 
 
 def _recipe(meta: dict[str, Any]) -> dict[str, Any]:
-    config = {key: value for key, value in meta["config"].items() if key not in ("data", "out", "start_from")}
+    config = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
+    config["start_from"] = "/".join(Path(config.get("start_from", "")).parts[-2:])  # no folder of this machine
     return {"samples": meta["step"] * config["batch_size"], "recipe": config}

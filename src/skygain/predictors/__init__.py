@@ -23,6 +23,7 @@ PREDICTORS.register("operator", "skygain.predictors.operator:OperatorPredictor")
 PREDICTORS.register("paper-unet", "skygain.predictors.paper_unet:PaperUNetPredictor")
 PREDICTORS.register("paper-unet-mapblind", "skygain.predictors.paper_unet:map_blind_unet")
 PREDICTORS.register("unet", "skygain.predictors.unet:UNetPredictor")
+PREDICTORS.register("residual-kriging", "skygain.predictors.residual_kriging:ResidualKrigingPredictor")
 
 
 def create_predictor(name: str, **options: Any) -> Predictor:

@@ -19,7 +19,7 @@ from skygain.errors import InputError
 from skygain.measurements import Measurements
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief
-from skygain.predictors.readings import checked_flat, combined
+from skygain.predictors.readings import Readings, checked_flat, combined
 from skygain.scenario import Scenario
 
 MapNetwork = Callable[[Sequence[Scenario], NDArray[np.float32], NDArray[np.bool_]], tuple[NDArray, NDArray]]
@@ -56,6 +56,11 @@ class NetworkBelief(Belief):
     def posterior(self) -> Posterior:
         return self._posterior
 
+    def network_maps(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(mean in dB, variance in dB²) as the network gives them, at measured cells too."""
+        means, variances, _ = _answers([self])
+        return means[0], variances[0]
+
     @cached_property
     def _posterior(self) -> Posterior:
         return posteriors_together([self])[0]
@@ -63,6 +68,17 @@ class NetworkBelief(Belief):
 
 def posteriors_together(beliefs: Sequence[NetworkBelief]) -> list[Posterior]:
     """The posteriors of beliefs that share a network and a map's shape, from one run of the network over all of them."""
+    found = []
+    for mean, variance, readings in zip(*_answers(beliefs), strict=True):
+        exact = readings.noise_db2 == 0
+        mean.ravel()[readings.cells[exact]] = readings.gain_db[exact]
+        variance.ravel()[readings.cells[exact]] = 0.0
+        found.append(Posterior(mean, variance))
+    return found
+
+
+def _answers(beliefs: Sequence[NetworkBelief]) -> tuple[NDArray[np.float64], NDArray[np.float64], list[Readings]]:
+    """Means and variances ``[survey, row, col]`` of the network, and the readings that went in."""
     grid = beliefs[0].scenario.grid
     gain, measured = np.zeros((len(beliefs), grid.size), dtype=np.float32), np.zeros((len(beliefs), grid.size), dtype=bool)
     known = []
@@ -73,10 +89,4 @@ def posteriors_together(beliefs: Sequence[NetworkBelief]) -> list[Posterior]:
         known.append(readings)
     whole = (len(beliefs), *grid.shape)
     means, variances = beliefs[0].network([b.scenario for b in beliefs], gain.reshape(whole), measured.reshape(whole))
-    found = []
-    for mean, variance, readings in zip(means.astype(float), variances.astype(float), known, strict=True):
-        exact = readings.noise_db2 == 0
-        mean.ravel()[readings.cells[exact]] = readings.gain_db[exact]
-        variance.ravel()[readings.cells[exact]] = 0.0
-        found.append(Posterior(mean, variance))
-    return found
+    return means.astype(float), variances.astype(float), known
