@@ -27,6 +27,12 @@ def test_a_network_answers_the_same_without_pytorch(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["locator.onnx"]
 
 
+def test_the_shipped_operator_answers_the_same_without_pytorch(tmp_path):
+    pytest.importorskip("onnxruntime", reason="the extra 'onnx' is not installed")
+    pytest.importorskip("onnxscript", reason="the extra 'onnx' is not installed")
+    assert export_onnx("operator", tmp_path / "operator.onnx", shape=(24, 32)) <= TOLERANCE
+
+
 def test_an_unknown_network_is_named(tmp_path):
     with pytest.raises(InputError, match="known: operator"):
         export_onnx("kriging", tmp_path / "k.onnx")

@@ -7,14 +7,18 @@ import pytest
 import torch
 
 from skygain.errors import InputError
+from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
 from skygain.learning.dqn import DqnConfig, train_dqn
 from skygain.learning.imitation import ImitationConfig, train_imitation
+from skygain.learning.paper_unet_net import PaperUNets
 from skygain.learning.policy_inputs import SYMMETRIES, Seen, centred_view, turned_moves, turned_view
 from skygain.learning.policy_recipes import train_policy
 from skygain.learning.policy_weights import export_policy, load_policy
 from skygain.learning.q_network import policy_network
 from skygain.planners import create_planner
+from skygain.predictors import create_predictor
 from skygain.swarm import MOVES
+from skygain.testing.planners import check_planner, planner_scenarios
 
 SMALL = DqnConfig(
     predictor="idw",
@@ -41,15 +45,19 @@ SMALL = DqnConfig(
 
 
 def tensors(result):
-    from skygain.learning.checkpoints import load_checkpoint
-
     return load_checkpoint(result.checkpoint)[0]
 
 
-def test_a_resumed_dqn_run_ends_with_the_same_weights(tmp_path):
-    whole = train_dqn(replace(SMALL, out=str(tmp_path / "whole"), total_steps=36))
-    train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=23))  # in the middle of an episode, the ring full
-    parts = train_dqn(replace(SMALL, out=str(tmp_path / "parts"), total_steps=36))
+@pytest.mark.parametrize("predictor", ["idw", "network"])
+def test_a_resumed_dqn_run_ends_with_the_same_weights(tmp_path, predictor):
+    config = SMALL
+    if predictor == "network":  # its last bits depend on how many surveys it is asked about together
+        torch.manual_seed(0)
+        save_checkpoint(tmp_path / "unets.safetensors", PaperUNets().state_dict(), {"name": "untrained"})
+        config = replace(SMALL, predictor=f"paper-unet:weights={tmp_path / 'unets.safetensors'}")
+    whole = train_dqn(replace(config, out=str(tmp_path / "whole"), total_steps=36))
+    train_dqn(replace(config, out=str(tmp_path / "parts"), total_steps=23))  # in the middle of an episode, the ring full
+    parts = train_dqn(replace(config, out=str(tmp_path / "parts"), total_steps=36))
     assert parts.updates == whole.updates > 8
     one, two = tensors(whole), tensors(parts)
     assert all(torch.equal(one[key], two[key]) for key in one)
@@ -181,9 +189,6 @@ def test_dqn_recipe_makes_a_planner(tmp_path):
         k: getattr(SMALL, k) for k in ("predictor", "side", "steps", "lanes", "n_uavs", "warmup", "capacity", "batch_size")
     }
     train_policy("dqn-rewards-only", "sample", tmp_path, total_steps=30, **settings)
-    from skygain.predictors import create_predictor
-    from skygain.testing.planners import check_planner, planner_scenarios
-
     planner = create_planner("dqn", weights=str(tmp_path / "dqn-rewards-only.safetensors"), symmetries=2)
     settings = [planner_scenarios()[k] for k in (3, 6, 9)]  # empty batteries, everyone returns, no move at all
     check_planner(planner, create_predictor("idw"), settings=settings)
@@ -209,6 +214,23 @@ def test_imitation_resumes_and_learns_from_its_own_flights(tmp_path):
     one, two = tensors(whole), tensors(parts)
     assert all(torch.equal(one[key], two[key]) for key in one)
     assert whole.scores["held_out_loss"] < 0.95 * np.log(4)  # straight on is easily learned: the last move is part of the view
+    imitator = create_planner("imitation", weights=str(tmp_path / "whole" / "policy-1.safetensors"), symmetries=2)
+    check_planner(imitator, create_predictor("idw"), settings=[planner_scenarios()[k] for k in (0, 3, 9)])
+
+
+def test_a_policy_with_the_papers_network_conforms(tmp_path):
+    torch.manual_seed(0)
+    shape = {"network": "paper", "atoms": 5, "side": 48, "dueling": False}
+    file = tmp_path / "policy.safetensors"
+    export_policy(policy_network(shape).state_dict(), file, {"policy": {**shape, "v_min": -1.0, "v_max": 1.0}})
+    planner = create_planner("dqn", weights=str(file))
+    check_planner(planner, create_predictor("idw"), settings=[planner_scenarios()[k] for k in (0, 3, 9)])
+
+
+def test_weights_that_fit_nothing_are_refused(tmp_path):
+    save_checkpoint(tmp_path / "other.safetensors", {"something": torch.zeros(3)}, {"policy": {}})
+    with pytest.raises(InputError, match="nothing in"):
+        train_dqn(replace(SMALL, out=str(tmp_path / "run"), start_from=str(tmp_path / "other.safetensors")))
 
 
 def test_unknown_recipes_settings_and_weights_are_refused(tmp_path):

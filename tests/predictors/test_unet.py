@@ -37,6 +37,11 @@ def test_the_direct_network_conforms(tmp_path):
     check_predictor(UNetPredictor(weights=saved(DirectNet(), tmp_path)))
 
 
+def test_the_blind_twin_conforms(tmp_path):
+    torch.manual_seed(0)
+    check_predictor(map_blind_unet(weights=saved(PaperUNets(blind=True), tmp_path)))
+
+
 def test_the_blind_twin_gives_every_city_the_same_map(tmp_path):
     torch.manual_seed(0)
     blind = map_blind_unet(weights=saved(PaperUNets(blind=True), tmp_path))
