@@ -34,5 +34,11 @@ done
 for planner in $few lookahead; do
     spread="$spread,operator / $planner" five="$five,operator / $planner"
 done
-compare spread --max-surveys 30 --start spread --methods "${spread#,}"
-compare five --max-surveys 30 --uavs 5 --methods "${five#,}"
+compare spread --max-surveys 15 --start spread --methods "${spread#,}"
+compare five --max-surveys 15 --uavs 5 --methods "${five#,}"
+
+# Higher up: one survey each in 15 cities, random waypoints. The paper has one model per altitude, ours is the same at all of them.
+for metres in 20 30; do
+    compare "altitude_$metres" --max-surveys 15 --altitude "$metres" --planners random-waypoint \
+        --predictors "kriging,paper-unet:weights=paper-unet-${metres}m,operator"
+done
