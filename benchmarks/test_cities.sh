@@ -17,7 +17,7 @@ compare() {
 
 # Predictors, random waypoints, three UAVs from a cluster.
 compare predictors --max-surveys 60 --planners random-waypoint \
-    --predictors kriging,paper-unet,paper-unet-mapblind,unet,operator,operator+tx
+    --predictors kriging,paper-unet,paper-unet-mapblind,unet,operator
 
 # Planners, three UAVs from a cluster: the paper's predictor, ours, and Kriging.
 both="paper-unet / random-waypoint,paper-unet / greedy-variance,paper-unet / lawnmower,paper-unet / sequential-greedy"
@@ -34,11 +34,11 @@ done
 for planner in $few lookahead; do
     spread="$spread,operator / $planner" five="$five,operator / $planner"
 done
-compare spread --max-surveys 15 --start spread --methods "${spread#,}"
-compare five --max-surveys 15 --uavs 5 --methods "${five#,}"
+compare spread --max-surveys 12 --start spread --methods "${spread#,}"
+compare five --max-surveys 12 --uavs 5 --methods "${five#,}"
 
-# Higher up: one survey each in 15 cities, random waypoints. The paper has one model per altitude, ours is the same at all of them.
+# Higher up: one survey each in 12 cities, random waypoints. The paper has one model per altitude, ours is the same at all of them.
 for metres in 20 30; do
-    compare "altitude_$metres" --max-surveys 15 --altitude "$metres" --planners random-waypoint \
+    compare "altitude_$metres" --max-surveys 12 --altitude "$metres" --planners random-waypoint \
         --predictors "kriging,paper-unet:weights=paper-unet-${metres}m,operator"
 done
