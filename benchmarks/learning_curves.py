@@ -49,7 +49,9 @@ def draw_predictors(curves: dict[str, Curve], image: Path) -> None:
         key = next(k for k in curve[0] if k.startswith("rmse_db@")).removeprefix("rmse_db@")
         samples = [r["samples"] / 1000 for r in curve]
         for axis, score in zip(axes, ("rmse_db", "nll"), strict=True):
-            axis.plot(samples, [r[f"{score}@{key}"] for r in curve], label=f"{name}, {key} m", linewidth=1.2, marker=".", markersize=4)
+            axis.plot(
+                samples, [r[f"{score}@{key}"] for r in curve], label=f"{name}, {key} m", linewidth=1.2, marker=".", markersize=4
+            )
     axes[0].set(xlabel="samples seen, thousands", ylabel="RMSE on T2, dB", title="error")
     axes[1].set(xlabel="samples seen, thousands", ylabel="NLL per cell on T2, nats", title="likelihood")
     axes[0].legend(fontsize=7)
