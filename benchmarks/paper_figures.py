@@ -28,6 +28,7 @@ from skygain.survey import Survey
 from skygain.swarm import Swarm
 
 STEPS = 200
+LOWEST_M = 10.0
 EDGES = np.arange(-190.0, -39.0, 10.0)
 HERE = Path(__file__).parent
 Rows = dict[tuple[str, float], list[dict[str, Any]]]
@@ -35,6 +36,8 @@ Rows = dict[tuple[str, float], list[dict[str, Any]]]
 
 def one(case: Any, name: str) -> dict[str, Any]:
     """Fly ``case`` and return RMSE along the way and sums by gain at the end."""
+    if name == "paper-unet" and case.altitude_m != LOWEST_M:  # one model per altitude
+        name = f"paper-unet:weights=paper-unet-{case.altitude_m:g}m"
     method = MethodSpec(name, "random-waypoint")
     predictor = method.build_predictor()
     scenario = method.visible(case.scenario(), predictor)
