@@ -76,7 +76,7 @@ def draw_policies(curves: dict[str, Curve], image: Path) -> None:
             smooth = np.convolve(values, np.ones(width) / width, mode="valid")
             axis.plot([r["updates"] for r in ended][width - 1 :], smooth, label=name)
     axes[0].set(xlabel="updates", ylabel="RMSE at T, dB", title="error at the end of surveys in training")
-    axes[1].set(xlabel="updates", ylabel="return of a UAV", title="return")
+    axes[1].set(xlabel="updates", ylabel="return of a UAV", title="return (recipes reward differently)")
     axes[0].legend(fontsize=7)
     figure.savefig(image, dpi=110)
 
