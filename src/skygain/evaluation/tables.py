@@ -6,6 +6,7 @@ __all__ = ["comparison_json", "comparison_markdown", "curve_intervals"]
 
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -180,7 +181,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     ]
     saved = [{"predictor": p, "planner": a, "rival": b, "flight_saved": ratio} for p, a, b, ratio in _flight_rows(comparison)]
     return {
-        "config": asdict(comparison.config),
+        "config": {**asdict(comparison.config), "data": Path(comparison.config.data).name},  # no folder of this machine
         "surveys": len(comparison.cities),
         "cities": len(np.unique(comparison.cities)),
         "steps": steps,
