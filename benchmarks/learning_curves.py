@@ -20,7 +20,7 @@ import numpy as np
 from skygain.learning.weights import runs_folder
 
 HERE = Path(__file__).parent
-KEPT = ("step", "samples", "seconds", "rate", "updates", "return", "rmse_db", "q", "loss", "agreement", "transitions", "rate")
+KEPT = ("step", "samples", "seconds", "rate", "updates", "return", "rmse_db", "q", "loss", "agreement", "transitions")
 Curve = list[dict[str, float]]
 
 
