@@ -358,7 +358,9 @@ def _say(record: dict[str, object]) -> None:
 @train_app.command("predictor")
 def train_predictor_command(
     recipe: Annotated[str, typer.Option(help="operator, unet, paper-unet, paper-unet-mapblind, …")],
-    data: Annotated[Path, typer.Option(help="Data set; T1 trains, T2 validates.")],
+    data: Annotated[
+        list[Path], typer.Option(help="Data set; T1 trains, T2 validates. Give it again to add another one's cities.")
+    ],
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run, continued if it exists; by default in the user's cache.")
     ] = None,

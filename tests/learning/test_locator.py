@@ -8,7 +8,7 @@ import torch
 
 from skygain.learning.links import Links
 from skygain.learning.locator_net import LocatorNet
-from skygain.learning.locator_task import SHARD, LocatorTask
+from skygain.learning.locator_task import LocatorTask
 from skygain.learning.path_model import USED, PathModel
 from skygain.learning.transmitter_evidence import CHANNELS, EvidenceSums, PositionGrid, evidence_channels
 
@@ -91,21 +91,27 @@ def test_an_untrained_network_gives_the_tempered_likelihood(model, heights, rng)
 
 
 def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(tmp_path, monkeypatch, model, rng):
-    height = np.zeros((1, 40, 40), dtype=np.float32)
-    height[0, 10:20, 12:25] = 25.0
+    height = np.zeros((2, 40, 40), dtype=np.float32)
+    height[:, 10:20, 12:25] = 25.0
     links = Links(
-        height, np.zeros(1, np.int64), np.array([[30.0, 8.0, 1.5]]), rng.uniform(-120, -80, (1, 3, 40, 40)).astype(np.float16),
-        np.ones((1, 3, 40, 40), bool), np.array([10.0, 20.0, 30.0]), np.ones((1, 3), bool), 4.0,
+        height, np.array([0, 0, 1]), np.array([[30.0, 8.0, 1.5], [4.0, 30.0, 1.5], [5.0, 5.0, 1.5]]),
+        rng.uniform(-120, -80, (3, 3, 40, 40)).astype(np.float16),
+        np.ones((3, 3, 40, 40), bool), np.array([10.0, 20.0, 30.0]), np.ones((3, 3), bool), 4.0,
     )  # fmt: skip
     monkeypatch.setattr("skygain.learning.locator_task.load_links", lambda data, split: links)
     monkeypatch.setattr("skygain.learning.locator_task.find_weights", lambda name: name)
     monkeypatch.setattr(PathModel, "load", classmethod(lambda cls, path: model))
-    task, said = LocatorTask(side=32, surveys=SHARD, pool=str(tmp_path)), []
-    pool = task.load("", "T1", said.append)
-    assert len(pool) == 3 * SHARD
-    assert said == [{"pool": "T1", "surveys": SHARD, "of": SHARD}]
-    task.load("", "T1", said.append)
-    assert len(said) == 1
+    task, said = LocatorTask(side=32, flights=2, pool=str(tmp_path)), []
+    pool = task.load("cities.zarr.zip", "T1", said.append)
+    assert len(pool) == 3 * 2 * len(links)
+    assert said == [{"pool": "cities.zarr.zip", "split": "T1", "city": k, "of": 2} for k in (1, 2)]
+    task.load("cities.zarr.zip", "T1", said.append)
+    assert len(said) == 2
+    places = np.array([pool.sample(k, 0)[1].sum(axis=1) for k in range(len(pool))])
+    assert len(np.unique(places.argmax(axis=1))) > 1
+    twice = task.load(["cities.zarr.zip", "cities.zarr.zip"], "T1", said.append)
+    assert len(twice) == 2 * len(pool)
+    assert np.array_equal(twice.sample(len(pool) + 3, 0)[0], pool.sample(3, 0)[0])
     for symmetry in range(8):
         maps, target = pool.sample(5, symmetry)
         assert np.isclose(target.sum(), 1, atol=1e-5)

@@ -15,7 +15,7 @@ from skygain.errors import InputError
 from skygain.learning import train_predictor
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
 from skygain.learning.likelihood import gaussian_loss
-from skygain.learning.links import load_links
+from skygain.learning.links import _together, load_links
 from skygain.learning.operator_net import OperatorConfig
 from skygain.learning.recipes import RECIPES
 from skygain.learning.survey_tasks import DirectTask, PaperTask
@@ -122,6 +122,29 @@ def test_a_view_turns_map_and_transmitter_together():
         distance = np.hypot(near[0] - view.transmitter[0], near[1] - view.transmitter[1])
         assert np.isclose(distance, np.hypot(plainly[0] - plain.transmitter[0], plainly[1] - plain.transmitter[1]))
         assert np.isclose(view.height_m.sum(), plain.height_m.sum())
+
+
+def test_several_data_sets_are_one(tmp_path):
+    alone = load_links(SAMPLE, "T1")
+    twice = load_links([SAMPLE, SAMPLE], "T1")
+    assert (len(twice), len(twice.height_m)) == (2 * len(alone), 2 * len(alone.height_m))
+    for k in range(len(alone)):
+        one, two = alone.view(k, 0, 3, 4, 96), twice.view(len(alone) + k, 0, 3, 4, 96)
+        assert one.transmitter == two.transmitter
+        assert np.array_equal(one.gain_db, two.gain_db)
+        assert np.array_equal(one.height_m, two.height_m)
+    lower = replace(alone, altitude_m=alone.altitude_m[:1], gain_db=alone.gain_db[:, :1], ray_traced=alone.ray_traced[:, :1],
+                    available=alone.available[:, :1])  # fmt: skip
+    both = _together([lower, alone])
+    assert np.array_equal(both.available, np.concatenate([[[True, False, False]] * len(alone), alone.available]))
+    drawn = {both.draw(np.random.default_rng(k), 96, np.array([0.0, 1.0, 0.0])).altitude_m for k in range(20)}
+    assert drawn == {20.0}
+    with pytest.raises(InputError, match="maps at 10 m"):
+        lower.draw(np.random.default_rng(0), 96, np.array([0.0]))
+    with pytest.raises(InputError, match="maps of one size"):
+        _together([alone, replace(alone, spacing_m=5.0)])
+    result = train_predictor("operator", [SAMPLE, SAMPLE], tmp_path, total_steps=1, **QUICK)
+    assert result.step == 1
 
 
 def test_recipes_are_the_papers():

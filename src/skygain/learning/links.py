@@ -9,6 +9,7 @@ from __future__ import annotations
 
 __all__ = ["Links", "View", "load_links"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,16 +62,22 @@ class Links:
         return len(self.city)
 
     def draw(self, rng: np.random.Generator, side: int, weights: NDArray[np.float64] | None = None, augment: bool = True) -> View:
-        """A random window of ``side`` cells of a random link; ``weights[altitude]`` are relative odds (default: equal).
+        """A random window of ``side`` cells: first the altitude is drawn, then a link that has it, then the window.
 
-        Turns and mirror images only with ``augment``.
+        ``weights[altitude]`` are relative odds (default: equal); an altitude that no link has is never drawn. Turns and mirror images
+        only with ``augment``.
+
+        Raises:
+            InputError: no link has any of the altitudes wanted.
         """
         odds = np.ones(len(self.altitude_m)) if weights is None else np.asarray(weights, dtype=float)
-        while True:
-            link = int(rng.integers(len(self)))
-            altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
-            if self.available[link, altitude]:
-                break
+        odds = np.where(self.available.any(axis=0), odds, 0.0)
+        if not odds.sum() > 0:
+            held = ", ".join(f"{a:g}" for a in self.altitude_m[self.available.any(axis=0)])
+            raise InputError(f"no link has an altitude of those wanted; the data set has maps at {held} m")
+        altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
+        having = np.flatnonzero(self.available[:, altitude])
+        link = int(having[rng.integers(len(having))])
         rows, cols = self.height_m.shape[1:]
         row, col = int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
         return self.view(link, altitude, row, col, side, int(rng.integers(8)) if augment else 0)
@@ -108,16 +115,25 @@ class Links:
         )
 
 
-def load_links(path: str | Path, split: str) -> Links:
-    """Read one split (``T1`` … ``T4``) of a data set stored as Zarr (a folder or a ``.zip``).
+def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
+    """Read one split (``T1`` … ``T4``) of a data set stored as Zarr (a folder or a ``.zip``), or of several together.
 
     Raises:
-        InputError: the file is missing, is no data set, or has no city of that split.
+        InputError: a file is missing or is no data set, none has a city of that split, or their maps differ in size.
     """
+    several = [paths] if isinstance(paths, str | Path) else list(paths)
+    found = [_read(Path(path), split) for path in several]
+    links = [part for part in found if part is not None]
+    if not links:
+        raise InputError(f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: T1, T2, T3, T4")
+    return links[0] if len(links) == 1 else _together(links)
+
+
+def _read(path: Path, split: str) -> Links | None:
+    """One file's links, None if it has none of that split."""
     import xarray as xr
     import zarr
 
-    path = Path(path)
     if not path.exists():
         raise InputError(f"no data set at {path}; give the path of a .zarr or .zarr.zip data set (see `skygain data`)")
     store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else zarr.storage.LocalStore(path)
@@ -129,9 +145,7 @@ def load_links(path: str | Path, split: str) -> Links:
         raise InputError(f"{path} is not a Skygain data set ({error}); expected split, city_index, gain_db and others") from error
     kept = np.flatnonzero(np.isin(city_index, cities))
     if not len(kept):
-        raise InputError(
-            f"{path} holds no link of split {split!r}; known splits: {sorted(set(data['split'].values.astype(str)))}"
-        )
+        return None
     gain = data["gain_db"].isel(link=kept).values.astype(np.float16)
     x, y = data["x"].values.astype(float), data["y"].values.astype(float)
     spacing = float(x[1] - x[0])
@@ -145,4 +159,33 @@ def load_links(path: str | Path, split: str) -> Links:
         altitude_m=data["altitude"].values.astype(float),
         available=np.isfinite(gain).any(axis=(2, 3)),
         spacing_m=spacing,
+    )
+
+
+def _together(parts: list[Links]) -> Links:
+    first = parts[0]
+    for part in parts[1:]:
+        if part.height_m.shape[1:] != first.height_m.shape[1:] or part.spacing_m != first.spacing_m:
+            raise InputError(
+                f"data sets to be used together must have maps of one size; these have {first.height_m.shape[1:]} cells of "
+                f"{first.spacing_m:g} m and {part.height_m.shape[1:]} cells of {part.spacing_m:g} m"
+            )
+    altitudes = np.unique(np.concatenate([part.altitude_m for part in parts]))
+    shape = (sum(map(len, parts)), len(altitudes), *first.height_m.shape[1:])
+    gain, ray_traced = np.full(shape, np.nan, np.float16), np.zeros(shape, bool)
+    available, start = np.zeros(shape[:2], bool), 0
+    for part in parts:
+        at = np.ix_(np.arange(start, start + len(part)), np.searchsorted(altitudes, part.altitude_m))
+        gain[at], ray_traced[at], available[at] = part.gain_db, part.ray_traced, part.available
+        start += len(part)
+    before = np.cumsum([0, *(len(part.height_m) for part in parts[:-1])])
+    return Links(
+        height_m=np.concatenate([part.height_m for part in parts]),
+        city=np.concatenate([part.city + n for part, n in zip(parts, before, strict=True)]),
+        transmitter=np.concatenate([part.transmitter for part in parts]),
+        gain_db=gain,
+        ray_traced=ray_traced,
+        altitude_m=altitudes,
+        available=available,
+        spacing_m=first.spacing_m,
     )

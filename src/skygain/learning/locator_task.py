@@ -11,6 +11,7 @@ __all__ = ["LocatorPool", "LocatorTask"]
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +20,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from skygain.errors import InputError
 from skygain.learning.links import Links, load_links
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.path_model import PathModel
-from skygain.learning.tasks import Batch
+from skygain.learning.tasks import Batch, Paths, odds_for
 from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
-from skygain.learning.transmitter_evidence import CHANNELS, EvidenceSums, PositionGrid, evidence_channels
+from skygain.learning.transmitter_evidence import CHANNELS, EvidenceSums, PathPredictions, PositionGrid, evidence_channels
 from skygain.learning.weights import find_weights, runs_folder
 
 MOMENTS = 3
 """per survey: somewhere in its first part, in its middle, and at its end"""
-SHARD = 50
-"""surveys per file of a pool"""
 READINGS_AT_ONCE = 64
 """bounds the memory of the path model"""
 MARGIN_CELLS = 26
@@ -44,19 +44,24 @@ class LocatorPool:
     """Flown surveys of one split."""
 
     channels: list[NDArray[np.float16]]
-    """per shard ``[sample, channel, row, col]``, memory-mapped"""
-    transmitter: NDArray[np.float32]
-    """``[sample, (row, col)]`` of the window"""
+    """per city ``[sample, channel, row, col]``, memory-mapped"""
+    transmitter: list[NDArray[np.float32]]
+    """per city ``[sample, (row, col)]`` of the window"""
     side: int
     """cells along the edge of the window"""
 
+    @cached_property
+    def _after(self) -> NDArray[np.int64]:
+        return np.cumsum([len(rows) for rows in self.transmitter])
+
     def __len__(self) -> int:
-        return len(self.transmitter)
+        return int(self._after[-1])
 
     def sample(self, k: int, symmetry: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Evidence maps and target of sample ``k``, turned and mirrored as in `Links.view`."""
-        per_shard = SHARD * MOMENTS
-        maps, (row, col) = self.channels[k // per_shard][k % per_shard], self.transmitter[k]
+        city = int(np.searchsorted(self._after, k, side="right"))
+        at = k - int(self._after[city])  # from the end: negative
+        maps, (row, col) = self.channels[city][at], self.transmitter[city][at]
         if symmetry & 1:
             maps, row = maps[:, ::-1], self.side - 1 - row
         if symmetry & 2:
@@ -82,60 +87,74 @@ class LocatorTask:
 
     side: int = 96
     """cells along the edge of a survey's window"""
-    surveys: int = 2600
-    """surveys flown over the training split"""
-    held_out: int = 150
-    """and over the validation split"""
-    altitude_odds: tuple[float, float, float] = (3.0, 1.0, 1.0)
-    """relative odds of drawing 10, 20 and 30 m"""
+    flights: int = 4
+    """windows and paths drawn in each city; every transmitter of the city is listened to on each"""
+    altitude_odds: tuple[float, float, float] = (6.0, 1.0, 1.0)
+    """relative odds of drawing 10, 20 and 30 m, among the altitudes that the city has"""
     paths: str = "path-model"
     """name or file of the path model's weights"""
     pool: str = ""
     """folder of the pools; by default beside the runs"""
 
-    def load(self, data: str, split: str, report: Callable[[dict[str, Any]], None]) -> LocatorPool:
-        """The pool of ``split``, flown as far as that has not been done yet."""
-        folder = Path(self.pool) if self.pool else runs_folder() / "locator-pool"
-        folder = folder / split
-        folder.mkdir(parents=True, exist_ok=True)
-        count = self.surveys if split == "T1" else self.held_out
-        links, model = None, None
-        files = [folder / f"{k:04d}.npz" for k in range(-(-count // SHARD))]
-        for k, file in enumerate(files):
-            if not file.exists():
-                links = links or load_links(data, split)
-                model = model or PathModel.load(find_weights(self.paths))
-                _write(file, *self._flown(links, model, np.random.default_rng([ord(split[1]), k])))
-                report({"pool": split, "surveys": (k + 1) * SHARD, "of": len(files) * SHARD})
+    def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> LocatorPool:
+        """The pools of ``split`` of every data set, flown as far as that has not been done yet."""
         channels, transmitter = [], []
-        for file in files:
-            maps = np.load(file.with_suffix(".maps.npy"), mmap_mode="r")
-            channels.append(maps)
-            with np.load(file) as found:
-                transmitter.append(found["transmitter"])
-        return LocatorPool(channels, np.concatenate(transmitter), self.side)
+        for path in [data] if isinstance(data, str | Path) else data:
+            for file in self._pool(Path(path), split, report):
+                with np.load(file) as found:
+                    transmitter.append(found["transmitter"])
+                channels.append(np.load(file.with_suffix(".maps.npy"), mmap_mode="r"))
+        if not channels:
+            raise InputError(f"{data} holds no link of split {split!r}")
+        return LocatorPool(channels, transmitter, self.side)
+
+    def _pool(self, data: Path, split: str, report: Callable[[dict[str, Any]], None]) -> list[Path]:
+        """The files of one data set, one for each city, those missing made first."""
+        folder = (Path(self.pool) if self.pool else runs_folder() / "locator-pool") / data.name / split
+        try:
+            links = load_links(data, split)
+        except InputError:
+            if data.exists():
+                return []  # it has none of this split, another may have
+            raise
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{city:04d}.npz" for city in range(len(links.height_m))]
+        model = None
+        for city, file in enumerate(files):
+            if not file.exists():
+                model = model or PathModel.load(find_weights(self.paths))
+                _write(file, *self._flown(links, city, model, np.random.default_rng([ord(split[1]), city])))
+                report({"pool": data.name, "split": split, "city": city + 1, "of": len(files)})
+        return files
 
     def _flown(
-        self, links: Links, model: PathModel, rng: np.random.Generator
+        self, links: Links, city: int, model: PathModel, rng: np.random.Generator
     ) -> tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float32]]:
-        squares = (self.side + 2 * MARGIN_CELLS) // SIDE_CELLS
-        maps = np.empty((SHARD * MOMENTS, len(CHANNELS), squares, squares), dtype=np.float16)
-        transmitter, card = np.empty((len(maps), 2), np.float32), np.empty((len(maps), 2), np.float32)
-        for survey in range(SHARD):
-            view = links.draw(rng, self.side, np.asarray(self.altitude_odds), augment=False)
-            cells = _survey_cells(view.outdoor, rng)
-            n = len(cells)
-            sums, taken = EvidenceSums.none(PositionGrid.over(view.height_m, links.spacing_m)), 0
+        maps, transmitter, card = [], [], []
+        for _ in range(self.flights):
+            heard = np.flatnonzero(links.city == city)
+            odds = odds_for(links, self.altitude_odds) * links.available[heard].any(axis=0)
+            altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
+            heard = heard[links.available[heard, altitude]]
+            row, col = (int(rng.integers(n - self.side + 1)) for n in links.height_m.shape[1:])
+            views = [links.view(int(link), altitude, row, col, self.side) for link in heard]
+            height, altitude_m = views[0].height_m, views[0].altitude_m
+            cells = _survey_cells(np.logical_and.reduce([view.outdoor for view in views]), rng)
+            n, taken = len(cells), 0
+            nothing = EvidenceSums.none(PositionGrid.over(height, links.spacing_m))
+            sums = [nothing for _ in views]
             moments = [max(1, int(n * share)) for share in (rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8), 1.0)]
-            for k, moment in enumerate(moments, survey * MOMENTS):
+            for moment in moments:
                 while taken < moment:
                     some = cells[taken : min(taken + READINGS_AT_ONCE, moment)]
-                    gain = view.gain_db[some[:, 0], some[:, 1]]
-                    sums = sums.grown(model, view.height_m, links.spacing_m, view.altitude_m, some, gain)
+                    predicted = PathPredictions.made(model, nothing.grid, height, links.spacing_m, altitude_m, some)
+                    sums = [s.taken(predicted, view.gain_db[some[:, 0], some[:, 1]]) for s, view in zip(sums, views, strict=True)]
                     taken += len(some)
-                maps[k] = evidence_channels(sums, view.height_m, links.spacing_m, view.altitude_m)
-                transmitter[k], card[k] = view.transmitter[:2], (taken, view.altitude_m)
-        return maps, transmitter, card
+                for s, view in zip(sums, views, strict=True):
+                    maps.append(evidence_channels(s, height, links.spacing_m, altitude_m).astype(np.float16))
+                    transmitter.append(view.transmitter[:2])
+                    card.append((taken, altitude_m))
+        return np.stack(maps), np.array(transmitter, np.float32), np.array(card, np.float32)
 
     def network(self) -> nn.Module:
         return LocatorNet()
@@ -192,7 +211,7 @@ def _survey_cells(free: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[
 
 
 def _write(file: Path, maps: NDArray, transmitter: NDArray, card: NDArray) -> None:
-    """The maps first, so that a shard whose small file exists is whole."""
+    """The maps first, so that a city whose small file exists is whole."""
     for path, save in (
         (file.with_suffix(".maps.npy"), lambda f: np.save(f, maps)),
         (file, lambda f: np.savez(f, transmitter=transmitter, card=card)),

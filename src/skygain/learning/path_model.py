@@ -11,7 +11,7 @@ __all__ = ["PathModel", "train_path_model"]
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,7 +74,7 @@ class PathModel:
 
 
 def train_path_model(
-    data: str | Path,
+    data: str | Path | Sequence[str | Path],
     out: str | Path,
     *,
     rounds: int = 1200,

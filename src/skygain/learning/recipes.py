@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["RECIPES", "recipe", "train_predictor"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,28 +68,30 @@ def recipe(name: str) -> TrainConfig:
 
 def train_predictor(
     name: str,
-    data: str | Path,
+    data: str | Path | Sequence[str | Path],
     out: str | Path | None = None,
     *,
     report: Callable[[dict[str, Any]], None] = lambda record: None,
     **changes: Any,
 ) -> Result:
-    """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is there; ``changes`` override the recipe.
+    """Train by recipe ``name`` on the data set ``data`` (or several together) in folder ``out``, continuing what is there.
 
-    The averaged weights end up as ``out/<name>.safetensors`` with a card in JSON beside them. Without ``out`` the run lives in
-    `runs_folder`, where the predictor of that name finds its weights.
+    ``changes`` override the recipe. The averaged weights end up as ``out/<name>.safetensors`` with a card in JSON beside them. Without
+    ``out`` the run lives in `runs_folder`, where the predictor of that name finds its weights.
 
     Raises:
         InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
     """
+    several = [data] if isinstance(data, str | Path) else list(data)
     folder = Path(out) if out is not None else runs_folder() / name
     weights = folder / f"{name}.safetensors"
     if name == "path-model":
         if unknown := [key for key in changes if key not in ("rounds", "seed")]:
             raise InputError(f"the path model trains in a minute and has no option {unknown[0]!r}; leave it out")
-        return train_path_model(data, weights, report=report, **changes)
-    result = train(replace(recipe(name), data=str(data), out=str(folder), **changes), report)
+        return train_path_model(several, weights, report=report, **changes)
+    result = train(replace(recipe(name), data=tuple(map(str, several)), out=str(folder), **changes), report)
     bits = PAPER_BITS if name.startswith("paper-unet") else 0
     precision = f"float16, the dense layers {bits} bits" if bits else "float16"
-    export_weights(result.checkpoint, weights, {"name": name, "data": Path(data).name, "precision": precision}, bits)
+    made_of = " + ".join(Path(path).name for path in several)
+    export_weights(result.checkpoint, weights, {"name": name, "data": made_of, "precision": precision}, bits)
     return result

@@ -16,7 +16,7 @@ from skygain.learning.likelihood import gaussian_loss
 from skygain.learning.links import Links, View
 from skygain.learning.operator_net import OperatorConfig
 from skygain.learning.paper_unet_net import SIDE, PaperUNets, paper_inputs
-from skygain.learning.tasks import Batch, GainTask, stacked
+from skygain.learning.tasks import Batch, GainTask, odds_for, stacked
 from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
 
 
@@ -76,7 +76,7 @@ class DirectTask(GainTask):
 
     side: int = 96
     """cells along the edge of a training window"""
-    altitude_odds: tuple[float, float, float] = (3.0, 1.0, 1.0)
+    altitude_odds: tuple[float, float, float] = (6.0, 1.0, 1.0)
     """relative odds of drawing 10, 20 and 30 m"""
     mean_scale_db: float = 10.0
     """scale of the squared error added to the likelihood, see `gaussian_loss`"""
@@ -87,7 +87,7 @@ class DirectTask(GainTask):
         return DirectNet(self.net)
 
     def batch(self, links: Links, size: int, rng: np.random.Generator, augment: bool = True) -> Batch:
-        views = [links.draw(rng, self.side, np.asarray(self.altitude_odds), augment) for _ in range(size)]
+        views = [links.draw(rng, self.side, odds_for(links, self.altitude_odds), augment) for _ in range(size)]
         return _surveyed(views, [_mask(v.outdoor.shape, measured_cells(v.outdoor, rng)) for v in views])
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 __all__ = ["GainTask", "OperatorTask", "Task", "scores_of"]
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skygain.learning.likelihood import gaussian_loss, gaussian_scores
@@ -21,6 +23,7 @@ from skygain.learning.operator_net import OperatorConfig, PropagationOperator
 from skygain.learning.path_features import CHANNELS, PROFILE_CHANNELS, fill_features
 
 Batch = dict[str, Tensor]
+Paths = str | Path | Sequence[str | Path]
 
 
 class Task(Protocol):
@@ -30,8 +33,8 @@ class Task(Protocol):
     def side(self) -> int:
         """Cells along the edge of a training window."""
 
-    def load(self, data: str, split: str, report: Callable[[dict[str, Any]], None]) -> Any:
-        """What batches are made of, from one split of the data set ``data``; ``report`` hears of long preparations."""
+    def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> Any:
+        """What batches are made of, from one split of the data sets ``data``; ``report`` hears of long preparations."""
 
     def network(self) -> nn.Module:
         """A fresh network; its initial weights come from PyTorch's global generator."""
@@ -49,7 +52,7 @@ class Task(Protocol):
 class GainTask:
     """What tasks share that learn gain maps from the links of a data set."""
 
-    def load(self, data: str, split: str, report: Callable[[dict[str, Any]], None]) -> Links:
+    def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> Links:
         return load_links(data, split)
 
     def predict(self, network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor]:
@@ -58,6 +61,12 @@ class GainTask:
 
     def scores(self, network: nn.Module, batches: list[Batch], autocast: Any) -> dict[str, float]:
         return scores_of(self, network, batches, autocast)
+
+
+def odds_for(links: Links, odds: tuple[float, float, float]) -> NDArray[np.float64]:
+    """``[altitude]`` relative odds of the links' altitudes from those of 10, 20 and 30 m; any other altitude has 1."""
+    known = dict(zip((10.0, 20.0, 30.0), odds, strict=True))
+    return np.array([known.get(float(altitude), 1.0) for altitude in links.altitude_m])
 
 
 def stacked(views: list[View]) -> Batch:
@@ -76,8 +85,8 @@ class OperatorTask(GainTask):
 
     side: int = 96
     """cells along the edge of a training window"""
-    altitude_odds: tuple[float, float, float] = (3.0, 1.0, 1.0)
-    """relative odds of drawing 10, 20 and 30 m (the two upper ones exist for every second city only)"""
+    altitude_odds: tuple[float, float, float] = (6.0, 1.0, 1.0)
+    """relative odds of drawing 10, 20 and 30 m"""
     profile: bool = True
     """whether the network sees the heights along the path; without, it has the map, distance and direction only"""
     mean_scale_db: float = 10.0
@@ -89,7 +98,7 @@ class OperatorTask(GainTask):
         return PropagationOperator(self.net)
 
     def batch(self, links: Links, size: int, rng: np.random.Generator, augment: bool = True) -> Batch:
-        views = [links.draw(rng, self.side, np.asarray(self.altitude_odds), augment) for _ in range(size)]
+        views = [links.draw(rng, self.side, odds_for(links, self.altitude_odds), augment) for _ in range(size)]
         inputs = np.empty((size, len(CHANNELS), self.side, self.side), dtype=np.float32)
         for view, out in zip(views, inputs, strict=True):
             fill_features(view.height_m, links.spacing_m, *view.transmitter, view.altitude_m, out)

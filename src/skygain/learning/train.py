@@ -39,8 +39,8 @@ class TrainConfig:
 
     task: Task
     """what is learned"""
-    data: str
-    """path of the data set"""
+    data: str | tuple[str, ...]
+    """path of the data set, or of several whose links are taken together"""
     out: str
     """folder of the run: checkpoint.safetensors, log.jsonl, config.json; an existing checkpoint is continued"""
     batch_size: int = 32

@@ -8,7 +8,7 @@ far such sums can be trusted.
 
 from __future__ import annotations
 
-__all__ = ["CHANNELS", "EvidenceSums", "PositionGrid", "evidence_channels"]
+__all__ = ["CHANNELS", "EvidenceSums", "PathPredictions", "PositionGrid", "evidence_channels"]
 
 from dataclasses import dataclass, replace
 
@@ -102,6 +102,31 @@ def _axis_prior(index: NDArray[np.int64], length: int, margin: int) -> NDArray[n
 
 
 @dataclass(frozen=True, eq=False)
+class PathPredictions:
+    """What the path model expects at some cells from every position."""
+
+    cells: NDArray[np.int64]
+    """``[m, (row, col)]``"""
+    mean_db: Array
+    """``[m, k]``"""
+    std_db: Array
+    """``[m, k]``"""
+    line_of_sight: Array
+    """``[m, k]`` 1 or 0"""
+    spacing_m: float
+    """side of a cell"""
+
+    @classmethod
+    def made(
+        cls, model: PathModel, grid: PositionGrid, height_m: Array, spacing_m: float, altitude_m: float, cells: NDArray[np.int64]
+    ) -> PathPredictions:
+        """For ``cells`` at ``altitude_m`` in a city of ``height_m``."""
+        features = path_features(height_m, spacing_m, grid.position, cells, altitude_m)
+        mean, std = model.of_features(features)
+        return cls(cells, mean, std, np.ascontiguousarray(features[..., LINE_OF_SIGHT]), spacing_m)
+
+
+@dataclass(frozen=True, eq=False)
 class EvidenceSums:
     """Sums over the readings so far, for every position. Growing them leaves older ones valid."""
 
@@ -124,15 +149,18 @@ class EvidenceSums:
         self, model: PathModel, height_m: Array, spacing_m: float, altitude_m: float, cells: NDArray[np.int64], gain_db: NDArray
     ) -> EvidenceSums:
         """After readings ``gain_db[m]`` (as at the model's carrier) at ``cells[m, (row, col)]``."""
-        features = path_features(height_m, spacing_m, self.grid.position, cells, altitude_m)
-        mean, std = model.of_features(features)
+        return self.taken(PathPredictions.made(model, self.grid, height_m, spacing_m, altitude_m, cells), gain_db)
+
+    def taken(self, predicted: PathPredictions, gain_db: NDArray) -> EvidenceSums:
+        """The same with the predictions at those cells given; they serve every transmitter of the city."""
+        mean, std, cells = predicted.mean_db, predicted.std_db, predicted.cells
         error = gain_db.astype(np.float32)[:, None] - mean
         z = error / std
         soft = (SOFTEN * np.arcsinh(z / SOFTEN)) ** 2
         log_std = np.log(std) + 0.5 * np.log1p((z / SOFTEN) ** 2)
-        los = features[..., LINE_OF_SIGHT]
+        los = predicted.line_of_sight
         terms = (np.ones_like(z), z, soft, log_std, error, error**2, los, los * z, los * soft)
-        weight = np.stack([np.ones(len(cells), np.float32), self._thinning(cells, spacing_m)])
+        weight = np.stack([np.ones(len(cells), np.float32), self._thinning(cells, predicted.spacing_m)])
         new = np.stack([weight @ term for term in terms], axis=1)
         return replace(
             self, sums=self.sums + new, cells=np.concatenate([self.cells, cells]), gain_db=np.append(self.gain_db, gain_db)
