@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from skygain.learning.candidate_judge import INPUTS, CandidateJudge, error_terms, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.operator_net import PropagationOperator
@@ -25,6 +26,13 @@ def begun(scenario, **changes):
     return TransmitterSearch.begun(scenario, **{**options, **changes})
 
 
+def any_judge():
+    sizes = (INPUTS, 6, 6, 1)
+    layers = {f"{i}.matrix": torch.randn(a, b) / 4 for i, (a, b) in enumerate(pairwise(sizes))}
+    layers |= {f"{i}.offset": torch.randn(b) / 4 for i, b in enumerate(sizes[1:])}
+    return layers | {"centre": torch.zeros(INPUTS), "scale": torch.full((INPUTS,), 2.0), "linear": torch.rand(INPUTS) / 4}
+
+
 @pytest.fixture(scope="module")
 def predictor(tmp_path_factory):
     torch.manual_seed(0)
@@ -34,13 +42,34 @@ def predictor(tmp_path_factory):
     layers = {f"{i}.weight": torch.randn(b, a) / 4 for i, (a, b) in enumerate(pairwise(sizes))}
     save_checkpoint(folder / "paths.safetensors", layers | {f"{i}.bias": torch.zeros(b) for i, b in enumerate(sizes[1:])}, {})
     save_checkpoint(folder / "locator.safetensors", LocatorNet().state_dict(), {"name": "untrained"})
-    files = {"weights": "operator", "paths": "paths", "locator": "locator"}
+    save_checkpoint(folder / "judge.safetensors", any_judge(), {"name": "untrained"})
+    files = {"weights": "operator", "paths": "paths", "locator": "locator", "judge": "judge"}
     return OperatorPredictor(**{k: folder / f"{name}.safetensors" for k, name in files.items()}, settings=QUICK)
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_conforms(predictor, known):
     check_predictor(predictor, example_scenario(transmitter=known))
+
+
+def test_conforms_without_a_judge(predictor):
+    check_predictor(replace(predictor, judge=""), example_scenario(transmitter=False))
+
+
+def test_what_the_judge_sees_is_the_same_however_the_candidates_came(predictor, rng):
+    """Sums grown reading by reading, and those made at once for a candidate that joined later."""
+    scenario = example_scenario(transmitter=False)
+    free = np.argwhere(scenario.flyable)
+    cells, gain = free[rng.permutation(len(free))[:15]], rng.uniform(-130, -70, 15)
+    belief = predictor.begin(scenario)
+    for cell, value in zip(cells, gain, strict=True):
+        belief = belief.updated(Measurements.at([cell], [value]))
+    assert len(belief.candidates) > len(predictor.begin(scenario).candidates)
+    _, z, std = belief._residuals(belief.candidates, belief.cells, belief.values)
+    assert np.allclose(belief.terms, error_terms(z, belief.whitened, std, belief.values), rtol=1e-3, atol=1e-2)
+    judge = CandidateJudge.load(predictor.judge)
+    expected = judge.probability(judge_inputs(belief.terms, 15, *belief.search.standing()), belief.settings.sharpen)
+    assert np.allclose(belief.weights(), expected, atol=1e-6)
 
 
 def test_the_field_is_the_textbook_gaussian_process(rng):

@@ -6,7 +6,7 @@ Judging thousands of positions by hundreds of readings takes half a second a sur
 
 from __future__ import annotations
 
-__all__ = ["LocatorPool", "LocatorTask"]
+__all__ = ["LocatorPool", "LocatorTask", "survey_cells"]
 
 import os
 from collections.abc import Callable
@@ -139,7 +139,7 @@ class LocatorTask:
             row, col = (int(rng.integers(n - self.side + 1)) for n in links.height_m.shape[1:])
             views = [links.view(int(link), altitude, row, col, self.side) for link in heard]
             height, altitude_m = views[0].height_m, views[0].altitude_m
-            cells = _survey_cells(np.logical_and.reduce([view.outdoor for view in views]), rng)
+            cells = survey_cells(np.logical_and.reduce([view.outdoor for view in views]), rng)
             n, taken = len(cells), 0
             nothing = EvidenceSums.none(PositionGrid.over(height, links.spacing_m))
             sums = [nothing for _ in views]
@@ -192,7 +192,7 @@ class LocatorTask:
         return {name: round(float(torch.cat(values).mean()), 4) for name, values in found.items()}
 
 
-def _survey_cells(free: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
+def survey_cells(free: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
     """``[n, (row, col)]`` distinct cells in the order of measuring: random waypoints (six in ten), lawnmower lines or scattered cells."""
     kind, count = rng.random(), int(np.exp(rng.uniform(np.log(12), np.log(600))))
     if kind < 0.6:

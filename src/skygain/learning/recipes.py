@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from skygain.errors import InputError
+from skygain.learning.judge_training import train_judge
 from skygain.learning.locator_task import LocatorTask
 from skygain.learning.path_model import train_path_model
 from skygain.learning.survey_tasks import DirectTask, PaperTask
@@ -55,6 +56,10 @@ RECIPES: dict[str, TrainConfig] = {
 """Complete settings but for the paths."""
 
 
+SMALL: dict[str, Callable[..., Result]] = {"path-model": train_path_model, "judge": train_judge}
+"""Perceptrons with a trainer of their own."""
+
+
 def recipe(name: str) -> TrainConfig:
     """The settings called ``name``.
 
@@ -62,7 +67,7 @@ def recipe(name: str) -> TrainConfig:
         InputError: no recipe has that name; the message lists those that exist.
     """
     if name not in RECIPES:
-        raise InputError(f"unknown recipe {name!r}; known: {', '.join(sorted([*RECIPES, 'path-model']))}")
+        raise InputError(f"unknown recipe {name!r}; known: {', '.join(sorted([*RECIPES, *SMALL]))}")
     return RECIPES[name]
 
 
@@ -85,10 +90,10 @@ def train_predictor(
     several = [data] if isinstance(data, str | Path) else list(data)
     folder = Path(out) if out is not None else runs_folder() / name
     weights = folder / f"{name}.safetensors"
-    if name == "path-model":
-        if unknown := [key for key in changes if key not in ("rounds", "seed")]:
-            raise InputError(f"the path model trains in a minute and has no option {unknown[0]!r}; leave it out")
-        return train_path_model(several, weights, report=report, **changes)
+    if name in SMALL:
+        if unknown := [key for key in changes if key in ("max_seconds", "finish_steps", "start_from")]:
+            raise InputError(f"{name} trains in minutes and has no option {unknown[0]!r}; leave it out")
+        return SMALL[name](several, weights, report=report, **changes)
     result = train(replace(recipe(name), data=tuple(map(str, several)), out=str(folder), **changes), report)
     bits = PAPER_BITS if name.startswith("paper-unet") else 0
     precision = f"float16, the dense layers {bits} bits" if bits else "float16"

@@ -1,9 +1,10 @@
 """The propagation-operator predictor: a learned (city, transmitter) → gain map, a transmitter inferred from the survey, and Kriging on top.
 
-Two networks judge where the transmitter is. The path model (`skygain.learning.path_model`) predicts every reading from every square of an
+Two networks say where the transmitter is. The path model (`skygain.learning.path_model`) predicts every reading from every square of an
 8 m grid over the map and 102 m around it; the sums of its errors are the input of the locator (`skygain.learning.locator_net`), which
 answers with the probability of every square. The propagation operator (`skygain.learning.operator_net`) is better and dear: its maps
-exist for a few hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. With
+exist for a few hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
+network, the judge (`skygain.learning.candidate_judge`), weighs the candidates by how their maps agree with the readings. With
 each update a candidate is added where that takes most of the probability closest to its representative.
 
 The posterior is the mixture of the candidates' maps, each corrected by Kriging of its residual (`residual_field`), summarised by its first
@@ -23,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from skygain.learning.candidate_judge import TERMS, error_terms, judge_inputs
 from skygain.measurements import Measurements
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.mixture_posterior import MixturePosterior
-from skygain.predictors.operator_maps import OperatorMaps, OperatorNetwork
+from skygain.predictors.operator_maps import OperatorMaps, OperatorNetwork, frequency_shift_db
 from skygain.predictors.readings import checked_flat, combined
 from skygain.predictors.residual_field import CorrelationModel, ResidualField
 from skygain.predictors.transmitter_search import TransmitterSearch
@@ -67,7 +69,7 @@ class OperatorSettings:
     gain_m: float = 0.25
     """a candidate is added only if it brings the probability closer to its representatives by so much on average"""
     sharpen: float = 1.4
-    """power of the locator's probabilities"""
+    """power of the judge's probabilities (of the locator's where there is no judge)"""
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
     variance_factor: float = 0.85
@@ -84,6 +86,8 @@ class OperatorPredictor(Predictor):
     """name or file of the path model's weights"""
     locator: str | Path = "locator"
     """name or file of the locator's weights"""
+    judge: str | Path = ""
+    """name or file of the judge's weights; empty for none: then the locator alone weighs the candidates"""
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     """inference settings"""
     transmitter: Literal["required", "optional", "unused"] = field(init=False, repr=False, default="optional")
@@ -110,17 +114,17 @@ class OperatorPredictor(Predictor):
                 height_z_m=maps.height_z_m,
             )
             indices = maps.indices(search.positions(search.chosen))
-        whitened = np.empty((0, len(indices)), dtype=np.float32)
+        whitened, terms = np.empty((0, len(indices)), dtype=np.float32), np.zeros((len(TERMS), len(indices)), dtype=np.float32)
         nothing = np.empty(0, dtype=np.int64)
         return OperatorBelief(
-            scenario, Measurements.none(), settings, maps, indices, whitened, search, residual, nothing, np.empty(0), {}
+            scenario, Measurements.none(), settings, maps, indices, whitened, terms, search, residual, nothing, np.empty(0), {}
         )
 
     def _maps(self, scenario: Scenario) -> OperatorMaps:
         key = (id(scenario.city), scenario.uav_altitude_m, scenario.prediction_altitude_m, scenario.frequency_hz)
         if key not in self._kept or self._kept[key].scenario.city is not scenario.city:
             kept = next(iter(self._kept.values()), None)
-            network = kept.network if kept is not None else OperatorNetwork(self.weights, self.paths, self.locator)
+            network = kept.network if kept is not None else OperatorNetwork(self.weights, self.paths, self.locator, self.judge)
             self._kept[key] = OperatorMaps(network, scenario)
             while len(self._kept) > KEPT_SCENARIOS:
                 self._kept.popitem(last=False)
@@ -142,6 +146,8 @@ class OperatorBelief(Belief):
     """``[c]`` index of each candidate's map"""
     whitened: NDArray[np.float32]
     """``[n, c]`` L⁻¹ z_c, for Kriging"""
+    terms: NDArray[np.float32]
+    """``[term, c]`` sums over the readings that the judge looks at"""
     search: TransmitterSearch | None
     """probability of every square; None with the transmitter known"""
     residual: ResidualField
@@ -224,27 +230,44 @@ class OperatorBelief(Belief):
 
     def _residuals(
         self, candidates: NDArray[np.int64], cells: NDArray[np.int64], gain: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """``[cell, candidate]`` softened standardised residuals."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Standardised residuals softened and as they are, and the standard deviation, each ``[cell, candidate]``."""
         mean, std = self.maps.at(candidates, cells, self.scenario.uav_altitude_m)
-        a = np.float32(self.settings.soften)
-        return a * np.arcsinh((gain[:, None].astype(np.float32) - mean) / (a * std))
+        a, z = np.float32(self.settings.soften), (gain[:, None].astype(np.float32) - mean) / std
+        return a * np.arcsinh(z / a), z, std
+
+    def _terms(
+        self, z: NDArray[np.float32], whitened: NDArray[np.float32], std: NDArray[np.float32], gain: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        if self.search is None:
+            return np.zeros((len(TERMS), z.shape[1]), dtype=np.float32)
+        return error_terms(z, whitened, std, gain - frequency_shift_db(self.scenario))
+
+    def _judged(self) -> OperatorBelief:
+        """With the candidates weighed by how well their maps agree with the readings."""
+        judge = self.maps.network.judge
+        if self.search is None or judge is None:
+            return self
+        inputs = judge_inputs(self.terms, len(self.cells), *self.search.standing())
+        return replace(self, search=self.search.judged(judge.probability(inputs, self.settings.sharpen)))
 
     def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_share: NDArray[np.float64]) -> OperatorBelief:
         residual, whitened = self.residual, self.whitened
         places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
-        z = self._residuals(self.candidates, cells, gain)
+        soft, z, std = self._residuals(self.candidates, cells, gain)
         for k, (row, col) in enumerate(places.tolist()):
             residual, tie = residual.grown((row, col), float(noise_share[k]))
-            whitened = np.concatenate([whitened, (z[k] - tie @ whitened)[None] / residual.diagonal[-1]])
+            whitened = np.concatenate([whitened, (soft[k] - tie @ whitened)[None] / residual.diagonal[-1]])
+        trusted = self.settings.sharpen if self.maps.network.judge is None else 1.0
         return replace(
             self,
             whitened=whitened,
-            search=None if self.search is None else self.search.grown(self.maps, places, gain, self.settings.sharpen),
+            terms=self.terms + self._terms(z, whitened[len(self.cells) :], std, gain),
+            search=None if self.search is None else self.search.grown(self.maps, places, gain, trusted),
             residual=residual,
             cells=np.append(self.cells, cells),
             values=np.append(self.values, gain),
-        )
+        )._judged()
 
     def _refined(self, news: int) -> OperatorBelief:
         """With candidates added for ``news`` readings, whose maps are computed if no belief over this city has asked for them before."""
@@ -256,11 +279,12 @@ class OperatorBelief(Belief):
             return self
         L = np.tril(self.residual.W[:, self.cells].T, -1)
         np.fill_diagonal(L, self.residual.diagonal)
-        z = self._residuals(joining, self.cells, self.values)
-        whitened = solve_triangular(L, z, lower=True, check_finite=False).astype(np.float32)
+        soft, z, std = self._residuals(joining, self.cells, self.values)
+        whitened = solve_triangular(L, soft, lower=True, check_finite=False).astype(np.float32)
         return replace(
             self,
             candidates=np.append(self.candidates, joining),
             whitened=np.concatenate([self.whitened, whitened], axis=1),
+            terms=np.concatenate([self.terms, self._terms(z, whitened, std, self.values)], axis=1),
             search=search,
-        )
+        )._judged()

@@ -27,11 +27,15 @@ TRAINED_HZ = 5.0e9
 class OperatorNetwork:
     """The trained network as a plain function of arrays; PyTorch is loaded with it."""
 
-    def __init__(self, weights: Any = "operator", paths: Any = "path-model", locator: Any = "locator") -> None:
+    def __init__(
+        self, weights: Any = "operator", paths: Any = "path-model", locator: Any = "locator", judge: Any = "judge"
+    ) -> None:
+        from skygain.learning.candidate_judge import CandidateJudge
         from skygain.learning.operator_net import PropagationOperator
         from skygain.learning.path_model import PathModel
         from skygain.learning.weights import load_network, weight_file
 
+        self.judge = CandidateJudge.load(weight_file(judge)) if str(judge) else None
         self.paths = PathModel.load(weight_file(paths))
         self._locator: Any = None
         self._located_by = locator

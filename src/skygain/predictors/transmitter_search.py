@@ -41,6 +41,8 @@ class TransmitterSearch:
     """of every square"""
     probability: Floats
     """``[k]`` of every square, summing to 1"""
+    located: Floats
+    """``[k]`` the same as the locator sees it, before the candidates are judged"""
     chosen: NDArray[np.int64]
     """``[c]`` squares that are candidates"""
     nearest: NDArray[np.int64]
@@ -80,7 +82,8 @@ class TransmitterSearch:
         apart = _apart(place, place[chosen])
         nearest = apart.argmin(axis=1)
         distance = apart[np.arange(len(place)), nearest]
-        return cls(EvidenceSums.none(grid), grid.prior / grid.prior.sum(), chosen, nearest, distance, spacing)
+        prior = grid.prior / grid.prior.sum()
+        return cls(EvidenceSums.none(grid), prior, prior, chosen, nearest, distance, spacing)
 
     def positions(self, squares: NDArray[np.int64]) -> list[tuple[float, ...]]:
         """(row, col, z) of ``squares``."""
@@ -92,15 +95,29 @@ class TransmitterSearch:
 
     def spread_m(self) -> Floats:
         """``[c]`` root mean squared distance between each candidate and what it represents."""
-        mass = self.weights()
-        square = np.bincount(self.nearest, self.probability * self.distance_m**2, minlength=len(self.chosen))
+        return self._spread(self.probability)
+
+    def _spread(self, probability: Floats) -> Floats:
+        mass = np.bincount(self.nearest, probability, minlength=len(self.chosen))
+        square = np.bincount(self.nearest, probability * self.distance_m**2, minlength=len(self.chosen))
         return np.sqrt(square / np.maximum(mass, 1e-300))
+
+    def standing(self) -> tuple[Floats, NDArray[np.int64], Floats]:
+        """Of each candidate: the locator's probability of what it represents, how many squares that is, and their spread in m."""
+        mass = np.bincount(self.nearest, self.located, minlength=len(self.chosen)).astype(float)
+        return mass, np.bincount(self.nearest, minlength=len(self.chosen)), self._spread(self.located)
+
+    def judged(self, weight: Floats) -> TransmitterSearch:
+        """With the probability ``weight[c]`` of each candidate shared among the squares that it represents as the locator shares it."""
+        mass = np.bincount(self.nearest, self.located, minlength=len(self.chosen))
+        return replace(self, probability=self.located * (weight / np.maximum(mass, 1e-300))[self.nearest])
 
     def grown(self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, sharpen: float) -> TransmitterSearch:
         """After readings ``gain_db[m]`` at ``cells[m, (row, col)]``; the locator's answer is raised to the power ``sharpen``."""
         evidence = maps.path_evidence(self.evidence, cells, gain_db)
         weight = maps.transmitter_probability(evidence) ** sharpen
-        return replace(self, evidence=evidence, probability=weight / weight.sum())
+        probability = weight / weight.sum()
+        return replace(self, evidence=evidence, probability=probability, located=probability)
 
     def refined(self, count: int, gain_m: float) -> TransmitterSearch:
         """With up to ``count`` more candidates, each shortening the mean distance by at least ``gain_m``."""
