@@ -1,9 +1,10 @@
-"""How wide should a predictor's intervals be? Cover and goodness of fit of a predictor for several factors of its variance.
+"""How far to trust a predictor: RMSE, cover and goodness of fit for several factors of its variance and powers of the operator's judge.
 
-    python benchmarks/calibration.py DATA.zarr.zip --predictor operator --surveys 25
+    python benchmarks/calibration.py DATA.zarr.zip --predictor operator --splits T2,T3 --surveys 25 --powers 1,1.4
 
-flies T2 surveys (three UAVs, cluster start, 10 m) by random waypoints and by sequential greedy, and evaluates every factor on the
-same maps at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 only; the table goes to benchmarks/results/calibration.md.
+flies surveys (three UAVs, cluster start, 10 m) by random waypoints and by sequential greedy, and evaluates every power and factor on the
+same beliefs at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 and T3 only; the table goes to
+benchmarks/results/calibration.md.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,61 +24,82 @@ from scipy.special import ndtri
 from skygain.datasets import ChannelDataset, survey_cases
 from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.metrics import VARIANCE_FLOOR_DB2
-from skygain.evaluation.rollout import Recorder
 from skygain.instruments.simulated import PerfectInstrument
-from skygain.predictors.operator import OperatorPredictor
+from skygain.posterior import Posterior
+from skygain.predictors import Belief
+from skygain.predictors.operator import OperatorBelief
 from skygain.survey import Survey
 from skygain.swarm import Swarm
 
 STEPS = (50, 100, 200)
-PLANNERS = ("random-waypoint", "sequential-greedy")
-FACTORS = (0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.0, 1.1)
+FACTORS = (0.7, 0.8, 0.85, 0.9, 1.0, 1.1, 1.2)
+
+
+def posteriors(belief: Belief, powers: list[float]) -> Iterator[tuple[float, Posterior]]:
+    """The posterior with each power of the judge and an uncalibrated variance; other predictors have one."""
+    if not isinstance(belief, OperatorBelief) or belief.search is None:
+        yield 1.0, belief.posterior()
+        return
+    for power in powers:
+        yield power, replace(belief, settings=replace(belief.settings, sharpen=power, variance_factor=1.0)).judged().posterior()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--predictor", default="operator")
-    parser.add_argument("--surveys", default=25, type=int)
+    parser.add_argument("--splits", default="T2,T3", type=lambda text: text.split(","))
+    parser.add_argument("--planners", default="random-waypoint,sequential-greedy", type=lambda text: text.split(","))
+    parser.add_argument("--powers", default="1,1.4", type=lambda text: [float(p) for p in text.split(",")])
+    parser.add_argument("--surveys", default=25, type=int, help="of each split")
+    parser.add_argument("--altitude", default=10.0, type=float)
+    parser.add_argument("--out", default=Path(__file__).parent / "results" / "calibration.md", type=Path)
     options = parser.parse_args()
-    cases = survey_cases(ChannelDataset.open(options.data), "T2", n_uavs=3, max_surveys=options.surveys)
-    ratios: dict[tuple[str, int], list[np.ndarray]] = {}
-    for number, case in enumerate(cases, 1):
-        for name in PLANNERS:
-            method = MethodSpec(options.predictor, name)
-            predictor = method.build_predictor()
-            if isinstance(predictor, OperatorPredictor):
-                predictor = replace(predictor, settings=replace(predictor.settings, variance_factor=1.0))
-            scenario = method.visible(case.scenario(), predictor)
-            recorder = Recorder(frozenset(STEPS), case.truth_db, case.ray_traced, keep_maps=True)
-            swarm = Swarm.deployed(scenario, case.start_cells, STEPS[-1])
-            survey = Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db))
-            survey.fly(swarm, case.rng(0), recorder)
-            for frame in recorder.frames:
-                if frame.step not in STEPS:
-                    continue
-                unseen = scenario.outdoor & np.isfinite(case.truth_db)
-                unseen[frame.paths[..., 0], frame.paths[..., 1]] = False
-                square = (frame.mean_db[unseen] - case.truth_db[unseen].astype(float)) ** 2
-                ratio = square / np.maximum(frame.std_db[unseen].astype(float) ** 2, VARIANCE_FLOOR_DB2)
-                ratios.setdefault((name, frame.step), []).append(ratio)
-        print(f"{number}/{len(cases)}", flush=True)
+    data = ChannelDataset.open(options.data)
+    found: dict[tuple[str, str, int, float], list[tuple[float, np.ndarray]]] = {}
+    for split in options.splits:
+        cases = survey_cases(data, split, n_uavs=3, altitude_m=options.altitude, max_surveys=options.surveys)
+        for number, case in enumerate(cases, 1):
+            for name in options.planners:
+                method = MethodSpec(options.predictor, name)
+                predictor = method.build_predictor()
+                scenario = method.visible(case.scenario(), predictor)
+                outdoor = scenario.outdoor & np.isfinite(case.truth_db)
+
+                def observe(step: int, swarm: Swarm, belief: Belief) -> None:
+                    if step not in STEPS:
+                        return
+                    unseen = outdoor & ~swarm.visited  # noqa: B023 - called within the iteration
+                    for power, posterior in posteriors(belief, options.powers):
+                        square = (posterior.mean_db[unseen] - case.truth_db[unseen].astype(float)) ** 2  # noqa: B023
+                        ratio = square / np.maximum(posterior.variance_db2[unseen], VARIANCE_FLOOR_DB2)
+                        key = (split, name, step, power)  # noqa: B023
+                        found.setdefault(key, []).append((float(np.sqrt(square.mean())), ratio.astype(np.float32)))
+
+                survey = Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db))
+                survey.fly(Swarm.deployed(scenario, case.start_cells, STEPS[-1]), case.rng(0), observe)
+            print(f"{split} {number}/{len(cases)}", flush=True)
+    count = {split: len(found[split, options.planners[0], 50, min(k[3] for k in found)]) for split in options.splits}
     lines = [
-        f"Predictor {options.predictor}, {len(cases)} surveys of T2, three UAVs, cluster start, 10 m; unvisited outdoor cells, mean over "
-        "surveys. Goodness of fit / cover of the 50 % / of the 90 % interval, by factor of the variance.",
+        f"Predictor {options.predictor}, {', '.join(f'{n} surveys of {split}' for split, n in count.items())}, three UAVs, cluster start, "
+        f"{options.altitude:g} m; unvisited outdoor cells, mean over surveys. Goodness of fit / cover of the 50 % / of the 90 % "
+        "interval, by factor of the variance.",
         "",
-        "| planner, T | " + " | ".join(f"{f:g}" for f in FACTORS) + " |",
-        "|---|" + "---|" * len(FACTORS),
+        "| split, planner, T | power | RMSE dB | " + " | ".join(f"{f:g}" for f in FACTORS) + " |",
+        "|---|---|---|" + "---|" * len(FACTORS),
     ]
     half, most = ndtri(0.75) ** 2, ndtri(0.95) ** 2
-    for (name, step), found in ratios.items():
+    for (split, name, step, power), rows in sorted(
+        found.items(), key=lambda item: (item[0][0], item[0][1], item[0][2], item[0][3])
+    ):
         cells = []
         for factor in FACTORS:
-            fit = np.log(np.mean([r.mean() / factor for r in found]))
-            inner, outer = (100 * np.mean([(r / factor <= limit).mean() for r in found]) for limit in (half, most))
+            fit = np.log(np.mean([r.mean() / factor for _, r in rows]))
+            inner, outer = (100 * np.mean([(r / factor <= limit).mean() for _, r in rows]) for limit in (half, most))
             cells.append(f"{fit:+.2f} / {inner:.0f} / {outer:.1f}")
-        lines.append(f"| {name}, {step} | " + " | ".join(cells) + " |")
-    (Path(__file__).parent / "results" / "calibration.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        rmse = np.mean([error for error, _ in rows])
+        lines.append(f"| {split}, {name}, {step} | {power:g} | {rmse:.2f} | " + " | ".join(cells) + " |")
+    options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n" + "\n".join(lines))
 
 

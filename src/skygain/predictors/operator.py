@@ -163,6 +163,14 @@ class OperatorBelief(Belief):
         """``[c]`` posterior probability of each candidate."""
         return np.ones(1) if self.search is None else self.search.weights()
 
+    def judged(self) -> OperatorBelief:
+        """With the candidates weighed by how well their maps agree with the readings; updates do that by themselves."""
+        judge = self.maps.network.judge
+        if self.search is None or judge is None:
+            return self
+        inputs = judge_inputs(self.terms, len(self.cells), *self.search.standing())
+        return replace(self, search=self.search.judged(judge.probability(inputs, self.settings.sharpen)))
+
     def updated(self, measurements: Measurements) -> OperatorBelief:
         """The belief after ``measurements``; exact readings of a cell already known exactly carry no news.
 
@@ -243,14 +251,6 @@ class OperatorBelief(Belief):
             return np.zeros((len(TERMS), z.shape[1]), dtype=np.float32)
         return error_terms(z, whitened, std, gain - frequency_shift_db(self.scenario))
 
-    def _judged(self) -> OperatorBelief:
-        """With the candidates weighed by how well their maps agree with the readings."""
-        judge = self.maps.network.judge
-        if self.search is None or judge is None:
-            return self
-        inputs = judge_inputs(self.terms, len(self.cells), *self.search.standing())
-        return replace(self, search=self.search.judged(judge.probability(inputs, self.settings.sharpen)))
-
     def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_share: NDArray[np.float64]) -> OperatorBelief:
         residual, whitened = self.residual, self.whitened
         places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
@@ -267,7 +267,7 @@ class OperatorBelief(Belief):
             residual=residual,
             cells=np.append(self.cells, cells),
             values=np.append(self.values, gain),
-        )._judged()
+        ).judged()
 
     def _refined(self, news: int) -> OperatorBelief:
         """With candidates added for ``news`` readings, whose maps are computed if no belief over this city has asked for them before."""
@@ -287,4 +287,4 @@ class OperatorBelief(Belief):
             whitened=np.concatenate([self.whitened, whitened], axis=1),
             terms=np.concatenate([self.terms, self._terms(z, whitened, std, self.values)], axis=1),
             search=search,
-        )._judged()
+        ).judged()
