@@ -174,8 +174,11 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         }
         delay = {name: float(np.nanmean(values)) for name, values in comparison.delays[label].items()}
         methods[label] = {"scores": curve, "gof": _gof(comparison, label), "delays": delay}
+    kinds = [
+        name for name in ("rmse_db", "rmse_ray_traced_db", "rmse_rest_db") if all(name in comparison.scores[a] for a in labels)
+    ]
     paired = [
-        {"method": a, "minus": b, "rmse_db": [asdict(_paired(comparison, a, b, k)) for k in range(len(steps))]}
+        {"method": a, "minus": b} | {n: [asdict(_paired(comparison, a, b, k, n)) for k in range(len(steps))] for n in kinds}
         for i, a in enumerate(labels)
         for b in labels[:i]
     ]
