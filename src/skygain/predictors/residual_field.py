@@ -30,13 +30,13 @@ SMALLEST_VARIANCE = 1e-5
 class CorrelationModel:
     """How the standardised residual varies together over distance."""
 
-    length_m: float = 19.0
+    length_m: float = 17.0
     """ℓ"""
-    far_length_m: float = 270.0
+    far_length_m: float = 310.0
     """ℓ_far, the reach of errors that a whole street or quarter shares"""
-    far_share: float = 0.49
+    far_share: float = 0.42
     """λ, the part of the correlated variance with the far reach"""
-    nugget: float = 0.15
+    nugget: float = 0.2
     """η, the part of the variance that neighbouring cells do not share"""
 
     def correlation(self, distance_m: NDArray[np.floating]) -> NDArray[np.floating]:
