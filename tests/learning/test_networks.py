@@ -4,10 +4,12 @@ import numpy as np
 import torch
 from torch.nn import functional as F  # noqa: N812
 
+from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.direct_net import DirectNet, direct_inputs
 from skygain.learning.operator_net import OperatorConfig, PropagationOperator
 from skygain.learning.paper_unet_net import PADDING_DB, PaperUNet, PaperUNets, UpsampledConv2d, paper_inputs
 from skygain.learning.path_features import CHANNELS
+from skygain.learning.weights import load_network
 
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
 
@@ -96,3 +98,17 @@ def test_a_frozen_network_answers_as_the_trained_one_does(rng):
     # bfloat16 has eight bits of 30 dB a unit; what is rounded in many layers averages out
     assert (mean - frozen_mean).square().mean().sqrt() < 0.15
     assert (log_variance - frozen_log_variance).square().mean().sqrt() < 0.02
+
+
+def test_a_blind_pair_can_begin_from_one_that_sees(tmp_path, rng):
+    torch.manual_seed(0)
+    seeing, blind = PaperUNets(), PaperUNets(blind=True)
+    save_checkpoint(tmp_path / "seeing.safetensors", seeing.state_dict(), {"name": "seeing"})
+    load_network(blind, tmp_path / "seeing.safetensors")
+    gain = torch.from_numpy(rng.uniform(-140, -60, (2, 96, 96)).astype(np.float32))
+    measured, flat = torch.from_numpy(rng.random((2, 96, 96)) < 0.1), torch.zeros(2, 96, 96)
+    with torch.inference_mode():
+        for one, two in zip(
+            seeing(paper_inputs(flat, gain, measured, False)), blind(paper_inputs(flat, gain, measured, True)), strict=True
+        ):
+            assert torch.allclose(one, two, atol=1e-3)

@@ -29,6 +29,8 @@ GAIN_SCALE_DB = 30.0
 """gains enter and leave as (gain − centre) / scale"""
 HEIGHT_SCALE_M = 30.0
 
+GAIN_CHANNEL = 1
+"""of the inputs of a pair that sees the map"""
 ENCODER = (16, 16, 32, 32, 64, 64, 128, 128)
 DECODER = ((256, 128), (256, 64), (128, 32), (64, 16))
 
@@ -107,6 +109,11 @@ class PaperUNets(nn.Module):
         self.blind = blind
         self.mean = PaperUNet(1 if blind else 2, "relu")
         self.variance = PaperUNet(1 if blind else 2, "tanh")
+
+    def adapted(self, state: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Weights of the pair that sees the map made to fit this one: a blind pair leaves out the filters of the height map."""
+        first = [key for key in state if key.endswith("encoder.0.weight")] if self.blind else []
+        return state | {key: state[key][:, GAIN_CHANNEL : GAIN_CHANNEL + 1] for key in first if state[key].shape[1] == 2}
 
     def frozen(self) -> PaperUNets:
         """Made ready to answer, never to be trained again: filters worked out once, and bfloat16 where the processor computes in it.

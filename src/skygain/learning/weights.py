@@ -18,6 +18,7 @@ from torch import nn
 
 from skygain.errors import InputError
 from skygain.learning.checkpoints import load_checkpoint, save_checkpoint
+from skygain.learning.paper_unet_net import PaperUNets
 from skygain.learning.quantised import dequantised, quantised
 
 LARGE = 1_000_000
@@ -78,6 +79,8 @@ def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
         tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}
     tensors = dequantised(tensors)
     state = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+    if isinstance(network, PaperUNets):
+        state = network.adapted(state)
     missing, unexpected = network.load_state_dict(state, strict=False)
     missing = [key for key in missing if not key.endswith("num_batches_tracked")]
     if missing or unexpected:
