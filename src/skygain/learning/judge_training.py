@@ -48,7 +48,7 @@ NEAR_M = 8.0
 """standard deviation of the target about the candidate nearest to the transmitter"""
 AT_MOST_M = 60.0
 BATCH = 16
-ERROR_SHARE = 0.2
+ERROR_SHARE = 0.4
 """of the root mean squared error in the loss, per dB"""
 
 
@@ -94,8 +94,8 @@ def train_judge(
     out: str | Path,
     *,
     rounds: int = 30,
-    hidden: int = 24,
-    weight_decay: float = 0.5,
+    hidden: int = 64,
+    weight_decay: float = 0.1,
     seed: int = 0,
     workers: int = 1,
     operator: str | Path = "operator",

@@ -68,11 +68,11 @@ class OperatorSettings:
     """largest number of squares; their side doubles until it holds"""
     gain_m: float = 0.25
     """a candidate is added only if it brings the probability closer to its representatives by so much on average"""
-    sharpen: float = 1.4
+    sharpen: float = 1.5
     """power of the judge's probabilities (of the locator's where there is no judge)"""
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
-    variance_factor: float = 0.85
+    variance_factor: float = 0.9
     """calibration of the variance, see benchmarks/calibration.py; errors have heavy tails, so intervals want less than the mean square"""
 
 
@@ -86,7 +86,7 @@ class OperatorPredictor(Predictor):
     """name or file of the path model's weights"""
     locator: str | Path = "locator"
     """name or file of the locator's weights"""
-    judge: str | Path = ""
+    judge: str | Path = "judge"
     """name or file of the judge's weights; empty for none: then the locator alone weighs the candidates"""
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     """inference settings"""
