@@ -1,6 +1,7 @@
 #!/bin/sh
 # The test cities, T4, with everything that was chosen on T2 and T3:  sh benchmarks/test_cities.sh DATA.zarr.zip [OUT]
-# Each comparison can be killed and goes on; tables and numbers are copied to benchmarks/results/test_cities_*.
+# Each comparison can be killed and goes on; tables and numbers are copied to benchmarks/results/test_cities_*, from where
+# benchmarks/test_cities_tables.py takes those of docs/test-cities.md. ONLY="planners spread" runs some of them.
 set -eu
 data=$1 out=${2:-surveys/test-cities}
 here=$(dirname "$0")
@@ -9,6 +10,7 @@ skygain=${SKYGAIN:-skygain}
 compare() {
     name=$1
     shift
+    case " ${ONLY:-$name} " in *" $name "*) ;; *) return 0 ;; esac
     "$skygain" evaluate --data "$data" --split T4 --out "$out/$name" "$@"
     cp "$out/$name/table.md" "$here/results/test_cities_$name.md"
     cp "$out/$name/results.json" "$here/results/test_cities_$name.json"
