@@ -98,7 +98,7 @@ def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(tmp_path, 
         rng.uniform(-120, -80, (3, 3, 40, 40)).astype(np.float16),
         np.ones((3, 3, 40, 40), bool), np.array([10.0, 20.0, 30.0]), np.ones((3, 3), bool), 4.0,
     )  # fmt: skip
-    monkeypatch.setattr("skygain.learning.locator_task.load_links", lambda data, split: links)
+    monkeypatch.setattr("skygain.learning.locator_task.read_links", lambda data, split: links)
     monkeypatch.setattr("skygain.learning.locator_task.find_weights", lambda name: name)
     monkeypatch.setattr(PathModel, "load", classmethod(lambda cls, path: model))
     task, said = LocatorTask(side=32, flights=2, pool=str(tmp_path)), []

@@ -30,7 +30,7 @@ from skygain.errors import InputError
 from skygain.grid import Grid
 from skygain.learning.candidate_judge import INPUTS, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
-from skygain.learning.links import Links, View, load_links
+from skygain.learning.links import Links, View, load_links, read_links
 from skygain.learning.locator_task import survey_cells
 from skygain.learning.train import Result
 from skygain.learning.weights import runs_folder, weight_file
@@ -181,15 +181,15 @@ def _flown(
 ) -> list[_Sample]:
     """The surveys of ``split``, flown as far as that has not been done with these weights."""
     sources = (predictor.weights, predictor.paths, predictor.locator)
-    state = hashlib.sha256(b"".join(weight_file(name).read_bytes() for name in sources)).hexdigest()[:12]
+    state = hashlib.sha256(
+        b"".join([*(weight_file(name).read_bytes() for name in sources), repr(predictor.settings).encode()])
+    ).hexdigest()[:12]
     files: list[Path] = []
     for path in _several(data):
-        try:
-            cities = len(load_links(path, split).height_m)
-        except InputError:
-            if path.exists():
-                continue  # none of this split; another file may have some
-            raise
+        links = read_links(path, split)
+        if links is None:
+            continue  # another data set may have some
+        cities = len(links.height_m)
         folder = (pool or runs_folder() / "judge-pool") / f"{path.name}-{state}" / split
         folder.mkdir(parents=True, exist_ok=True)
         here = [folder / f"{city:04d}.npz" for city in range(cities)]

@@ -7,7 +7,7 @@ of the square) is drawn from a generator and cut out of them.
 
 from __future__ import annotations
 
-__all__ = ["Links", "View", "load_links"]
+__all__ = ["Links", "View", "load_links", "read_links"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -122,15 +122,15 @@ def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
         InputError: a file is missing or is no data set, none has a city of that split, or their maps differ in size.
     """
     several = [paths] if isinstance(paths, str | Path) else list(paths)
-    found = [_read(Path(path), split) for path in several]
+    found = [read_links(Path(path), split) for path in several]
     links = [part for part in found if part is not None]
     if not links:
         raise InputError(f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: T1, T2, T3, T4")
     return links[0] if len(links) == 1 else _together(links)
 
 
-def _read(path: Path, split: str) -> Links | None:
-    """One file's links, None if it has none of that split."""
+def read_links(path: Path, split: str) -> Links | None:
+    """One data set's links, None if it has none of that split; see `load_links`."""
     import xarray as xr
     import zarr
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skygain.errors import InputError
-from skygain.learning.links import Links, load_links
+from skygain.learning.links import Links, read_links
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.path_model import PathModel
 from skygain.learning.tasks import Batch, Paths, odds_for
@@ -111,12 +111,9 @@ class LocatorTask:
     def _pool(self, data: Path, split: str, report: Callable[[dict[str, Any]], None]) -> list[Path]:
         """The files of one data set, one for each city, those missing made first."""
         folder = (Path(self.pool) if self.pool else runs_folder() / "locator-pool") / data.name / split
-        try:
-            links = load_links(data, split)
-        except InputError:
-            if data.exists():
-                return []  # it has none of this split, another may have
-            raise
+        links = read_links(data, split)
+        if links is None:
+            return []  # another data set may have some
         folder.mkdir(parents=True, exist_ok=True)
         files = [folder / f"{city:04d}.npz" for city in range(len(links.height_m))]
         model = None

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 
 PROPOSALS = 24
 """squares among which the next candidate is sought"""
+SMALLEST = 1e-30
+"""probability of a square below which the judge takes it to be this"""
 NEGLIGIBLE = 0.1
 """squares with less than this share of the mean probability do not matter where the next candidate goes"""
 
@@ -109,8 +111,9 @@ class TransmitterSearch:
 
     def judged(self, weight: Floats) -> TransmitterSearch:
         """With the probability ``weight[c]`` of each candidate shared among the squares that it represents as the locator shares it."""
-        mass = np.bincount(self.nearest, self.located, minlength=len(self.chosen))
-        return replace(self, probability=self.located * (weight / np.maximum(mass, 1e-300))[self.nearest])
+        located = np.maximum(self.located, SMALLEST)
+        mass = np.bincount(self.nearest, located, minlength=len(self.chosen))
+        return replace(self, probability=located * (weight / mass)[self.nearest])
 
     def grown(self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, sharpen: float) -> TransmitterSearch:
         """After readings ``gain_db[m]`` at ``cells[m, (row, col)]``; the locator's answer is raised to the power ``sharpen``."""
