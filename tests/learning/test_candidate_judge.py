@@ -11,6 +11,7 @@ from skygain.learning import train_predictor
 from skygain.learning.candidate_judge import INPUTS, TERMS, CandidateJudge, error_terms, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.judge_training import _Network
+from skygain.learning.weights import find_weights
 
 SAMPLE = files("skygain") / "data" / "sample.zarr.zip"
 
@@ -58,6 +59,8 @@ def test_numpy_and_pytorch_judge_alike(tmp_path, rng):
     with torch.inference_mode():
         expected = network(inputs).exp().numpy()
     assert np.allclose(judge.probability(inputs.numpy()), expected, atol=1e-5)
+    with pytest.raises(InputError, match="no weights of a judge"):
+        CandidateJudge.load(find_weights("path-model"))
     sharper = judge.probability(inputs.numpy(), 2.0)
     assert np.allclose(sharper, expected**2 / (expected**2).sum(), atol=1e-5)
 

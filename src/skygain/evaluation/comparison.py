@@ -193,9 +193,9 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
         if line["fingerprint"] != config.fingerprint:
             raise InputError(f"{journal} holds rollouts of another comparison; give another --out or delete that file")
         done[line["case"], line["method"]] = line
-    todo = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].link, m.label) not in done]
-    total, count = len(cases) * len(config.methods), len(cases) * len(config.methods) - len(todo)
-    workers = min(workers or os.cpu_count() or 1, max(1, len(todo)))
+    missing = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].link, m.label) not in done]
+    total, count = len(cases) * len(config.methods), len(cases) * len(config.methods) - len(missing)
+    workers = min(workers or os.cpu_count() or 1, max(1, len(missing)))
     with journal.open("a") as sink:
 
         def keep(line: dict[str, Any]) -> None:
@@ -208,9 +208,9 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
             if progress:
                 progress(count, total, line["method"])
 
-        if todo:
+        if missing:
             with process_pool(workers) as pool:
-                queue = iter(todo)
+                queue = iter(missing)
                 running: set[Future[dict[str, Any]]] = set()
                 while True:
                     for index, method in queue:

@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.errors import InputError
+
 Array = NDArray[np.float32]
 
 CAUCHY = (0.5, 1.0, 3.0)
@@ -150,10 +152,18 @@ class CandidateJudge:
 
     @classmethod
     def load(cls, path: Path) -> CandidateJudge:
-        """Read a weight file."""
+        """Read a weight file.
+
+        Raises:
+            InputError: the file is not a judge's, or that of a judge with other inputs.
+        """
         from skygain.learning.checkpoints import load_checkpoint
 
         tensors, _ = load_checkpoint(path)
+        if "centre" not in tensors or tensors["centre"].shape != (INPUTS,):
+            raise InputError(
+                f"{path} holds no weights of a judge of this version; make them with: skygain train predictor --recipe judge"
+            )
         found = {key: value.float().numpy() for key, value in tensors.items()}
         count = sum(key.endswith(".matrix") for key in found)
         layers = tuple((found[f"{i}.matrix"].copy(), found[f"{i}.offset"]) for i in range(count))

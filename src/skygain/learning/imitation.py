@@ -207,18 +207,18 @@ def _fly_round(
     how = DemonstrationConfig(worlds, config.predictors, config.expert, steps=config.steps)
     count = config.surveys[round_]
     paths = {k: folder / f"{round_}-{k:05d}.npz" for k in range(count)}
-    todo = [k for k, path in paths.items() if not path.exists()]
-    done = count - len(todo)
-    if not todo:
+    missing = [k for k, path in paths.items() if not path.exists()]
+    done = count - len(missing)
+    if not missing:
         return True
     if config.workers <= 1:
-        for k in todo:
+        for k in missing:
             if time.monotonic() > deadline:
                 return False
             _fly_one(how, learner, (config.seed, round_, k), paths[k])
         return True
     with process_pool(config.workers) as pool:
-        futures = [pool.submit(_fly_one, how, learner, (config.seed, round_, k), paths[k]) for k in todo]
+        futures = [pool.submit(_fly_one, how, learner, (config.seed, round_, k), paths[k]) for k in missing]
         for future in as_completed(futures):
             future.result()
             done += 1

@@ -129,7 +129,7 @@ def train(config: TrainConfig, report: Callable[[dict[str, Any]], None] = lambda
         average = {key: value.to(device) for key, value in under("average.", tensors).items()}
     elif config.start_from:
         kept = runs_folder() / config.start_from / "checkpoint.safetensors"  # finer than the weights exported from it
-        load_network(network, kept if kept.exists() else config.start_from)
+        load_network(network, kept if kept.exists() else config.start_from, adapt=True)
         average = {key: value.detach().clone() for key, value in network.state_dict().items() if value.is_floating_point()}
     if finish is None and config.finish_steps:
         finish = [step, config.finish_steps]

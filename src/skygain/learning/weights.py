@@ -71,15 +71,18 @@ def export_weights(checkpoint: Path, path: Path, card: dict[str, Any], bits: int
     path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
 
 
-def load_network(network: nn.Module, name: str | Path) -> dict[str, Any]:
-    """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to evaluation, and return their card."""
+def load_network(network: nn.Module, name: str | Path, *, adapt: bool = False) -> dict[str, Any]:
+    """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to evaluation, and return their card.
+
+    With ``adapt`` weights of a network that sees more may begin the training of one that sees less.
+    """
     path = weight_file(name)
     tensors, card = load_checkpoint(path)
     if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
         tensors = {key.removeprefix("average."): value for key, value in tensors.items() if key.startswith("average.")}
     tensors = dequantised(tensors)
     state = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
-    if isinstance(network, PaperUNets):
+    if adapt and isinstance(network, PaperUNets):
         state = network.adapted(state)
     missing, unexpected = network.load_state_dict(state, strict=False)
     missing = [key for key in missing if not key.endswith("num_batches_tracked")]
