@@ -44,17 +44,24 @@ def draw_predictors(curves: dict[str, Curve], image: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(9.5, 3.6), layout="constrained")
-    for name, curve in curves.items():
+    figure, axes = plt.subplots(1, 2, figsize=(11.5, 3.8), layout="constrained")
+    colours = plt.get_cmap("tab20").colors
+    for colour, (name, curve) in zip(colours, curves.items(), strict=False):
         key = next(k for k in curve[0] if k.startswith("rmse_db@")).removeprefix("rmse_db@")
         samples = [r["samples"] / 1000 for r in curve]
         for axis, score in zip(axes, ("rmse_db", "nll"), strict=True):
             axis.plot(
-                samples, [r[f"{score}@{key}"] for r in curve], label=f"{name}, {key} m", linewidth=1.2, marker=".", markersize=4
+                samples,
+                [r[f"{score}@{key}"] for r in curve],
+                label=f"{name}, {key} m",
+                color=colour,
+                linewidth=1.2,
+                marker=".",
+                markersize=4,
             )
     axes[0].set(xlabel="samples seen, thousands", ylabel="RMSE on T2, dB", title="error")
     axes[1].set(xlabel="samples seen, thousands", ylabel="NLL per cell on T2, nats", title="likelihood")
-    axes[0].legend(fontsize=7)
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=7, loc="outside right upper")
     figure.savefig(image, dpi=110)
 
 
