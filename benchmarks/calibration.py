@@ -37,7 +37,7 @@ FACTORS = (0.7, 0.8, 0.85, 0.9, 1.0, 1.1, 1.2)
 
 def posteriors(belief: Belief, powers: list[float]) -> Iterator[tuple[float, Posterior]]:
     """The posterior with each power of the judge and an uncalibrated variance; other predictors have one."""
-    if not isinstance(belief, OperatorBelief) or belief.search is None:
+    if not isinstance(belief, OperatorBelief) or belief.search is None or belief.maps.network.judge is None:
         yield 1.0, belief.posterior()
         return
     for power in powers:
@@ -79,7 +79,8 @@ def main() -> None:
                 survey = Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db))
                 survey.fly(Swarm.deployed(scenario, case.start_cells, STEPS[-1]), case.rng(0), observe)
             print(f"{split} {number}/{len(cases)}", flush=True)
-    count = {split: len(found[split, options.planners[0], 50, min(k[3] for k in found)]) for split in options.splits}
+    first = min(key[3] for key in found)
+    count = {split: len(found[split, options.planners[0], STEPS[0], first]) for split in options.splits}
     lines = [
         f"Predictor {options.predictor}, {', '.join(f'{n} surveys of {split}' for split, n in count.items())}, three UAVs, cluster start, "
         f"{options.altitude:g} m; unvisited outdoor cells, mean over surveys. Goodness of fit / cover of the 50 % / of the 90 % "

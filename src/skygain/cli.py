@@ -274,7 +274,7 @@ def methods() -> None:
 
 @dataset_app.command("build")
 def dataset_build(
-    preset: Annotated[str, typer.Option(help="paper (300 cities), small, tiny, sample (what the package ships), or large.")],
+    preset: Annotated[str, typer.Option(help="paper, small, tiny, sample (what ships), more-cities, more-altitudes or large.")],
     out: Annotated[Path, typer.Option(help="The data set to write, PATH.zarr.zip.")],
     workers: Annotated[int, typer.Option(help="Cities traced at the same time.")] = 1,
     resume: Annotated[bool, typer.Option(help="Go on from the cities already traced; --no-resume starts again.")] = True,
@@ -357,9 +357,10 @@ def _say(record: dict[str, object]) -> None:
 
 @train_app.command("predictor")
 def train_predictor_command(
-    recipe: Annotated[str, typer.Option(help="operator, unet, paper-unet, paper-unet-mapblind, …")],
+    recipe: Annotated[str, typer.Option(help="operator, path-model, locator, judge, unet, paper-unet, paper-unet-mapblind, …")],
     data: Annotated[
-        list[Path], typer.Option(help="Data set; T1 trains, T2 validates. Give it again to add another one's cities.")
+        list[Path],
+        typer.Option(help="Data set; T1 trains (T3 the judge), T2 validates. Give it again to add another one's cities."),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run, continued if it exists; by default in the user's cache.")

@@ -1,11 +1,13 @@
 """Evidence about the transmitter, and the network that weighs it."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 
+from skygain.errors import InputError
 from skygain.learning.links import Links
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.locator_task import LocatorTask
@@ -99,14 +101,22 @@ def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(tmp_path, 
         np.ones((3, 3, 40, 40), bool), np.array([10.0, 20.0, 30.0]), np.ones((3, 3), bool), 4.0,
     )  # fmt: skip
     monkeypatch.setattr("skygain.learning.locator_task.read_links", lambda data, split: links)
-    monkeypatch.setattr("skygain.learning.locator_task.find_weights", lambda name: name)
     monkeypatch.setattr(PathModel, "load", classmethod(lambda cls, path: model))
-    task, said = LocatorTask(side=32, flights=2, pool=str(tmp_path)), []
+    paths = tmp_path / "paths.safetensors"
+    paths.write_bytes(b"stands for the model's file")
+    task, said = LocatorTask(side=32, flights=2, pool=str(tmp_path), paths=str(paths)), []
     pool = task.load("cities.zarr.zip", "T1", said.append)
     assert len(pool) == 3 * 2 * len(links)
     assert said == [{"pool": "cities.zarr.zip", "split": "T1", "city": k, "of": 2} for k in (1, 2)]
     task.load("cities.zarr.zip", "T1", said.append)
     assert len(said) == 2
+    with pytest.raises(InputError, match="no map at an altitude wanted"):
+        replace(task, altitude_odds=(0.0, 0.0, 0.0)).load("cities.zarr.zip", "T1", said.append)
+    with pytest.raises(InputError, match="40 × 40 cells; training needs windows of 96 × 96"):
+        replace(task, side=96).load("cities.zarr.zip", "T1", said.append)
+    paths.write_bytes(b"another model's")
+    task.load("cities.zarr.zip", "T1", said.append)
+    assert len(said) == 4
     places = np.array([pool.sample(k, 0)[1].sum(axis=1) for k in range(len(pool))])
     assert len(np.unique(places.argmax(axis=1))) > 1
     twice = task.load(["cities.zarr.zip", "cities.zarr.zip"], "T1", said.append)

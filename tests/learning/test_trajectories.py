@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
+from skygain.learning.trajectories import covering_paths, lawnmower_cells, random_waypoints, scattered_cells
 
 
 @pytest.fixture
@@ -45,6 +45,31 @@ def test_a_city_too_tight_for_a_cluster_still_gets_its_flights(rng):
     lone[3, 3] = lone[20, 25] = True
     paths = random_waypoints(lone, np.array([10, 10, 10]), rng)
     assert lone[paths[..., 0], paths[..., 1]].all()
+
+
+def test_planned_flights_are_legal_and_cover_more_than_random_ones(rng):
+    free = np.ones((40, 40), dtype=bool)
+    free[5:15, 8:20] = free[22:35, 25:33] = False
+    ratios = []
+    for _ in range(8):
+        paths = covering_paths(free, 3, 120, rng)
+        assert paths.shape == (3, 121, 2)
+        assert free[paths[..., 0], paths[..., 1]].all()
+        assert np.abs(np.diff(paths, axis=1)).sum(-1).max() == 1
+        assert np.ptp(paths[:, 0], axis=0).max() <= 9
+        random = random_waypoints(free, np.full(3, 120), rng)
+        ratios.append(len(np.unique(paths.reshape(-1, 2), axis=0)) / len(np.unique(random.reshape(-1, 2), axis=0)))
+    assert np.mean(ratios) > 1.3
+    first, second = (covering_paths(free, 2, 60, np.random.default_rng(5)) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_planned_flights_end_where_nothing_is_left_to_measure(rng):
+    lane = np.zeros((12, 12), dtype=bool)
+    lane[4, 2:9] = True
+    paths = covering_paths(lane, 1, 40, rng, side=12)
+    assert len(np.unique(paths.reshape(-1, 2), axis=0)) == 7
+    assert (paths[0, -10:] == paths[0, -1]).all()
 
 
 @pytest.mark.parametrize("draw", [lawnmower_cells, scattered_cells])

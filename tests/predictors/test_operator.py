@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from skygain.learning.candidate_judge import INPUTS, CandidateJudge, error_terms, judge_inputs
+from skygain.learning.candidate_judge import INPUTS, TERMS, CandidateJudge, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.operator_net import PropagationOperator
@@ -65,11 +65,31 @@ def test_what_the_judge_sees_is_the_same_however_the_candidates_came(predictor, 
     for cell, value in zip(cells, gain, strict=True):
         belief = belief.updated(Measurements.at([cell], [value]))
     assert len(belief.candidates) > len(predictor.begin(scenario).candidates)
-    _, z, std = belief._residuals(belief.candidates, belief.cells, belief.values)
-    assert np.allclose(belief.terms, error_terms(z, belief.whitened, std, belief.values), rtol=1e-3, atol=1e-2)
+    at_once = belief._terms(belief.candidates, belief.whitened, belief.cells, belief.values, belief.noise_db2)
+    assert np.allclose(belief.terms, at_once, rtol=1e-3, atol=1e-2)
     judge = CandidateJudge.load(predictor.judge)
     expected = judge.probability(judge_inputs(belief.terms, 15, *belief.search.standing()), belief.settings.sharpen)
     assert np.allclose(belief.weights(), expected, atol=1e-6)
+
+
+def test_a_judge_sees_the_locator_as_it_is(predictor, rng):
+    """It learns from surveys without a judge, so what it is shown must not depend on whether there is one."""
+    scenario = example_scenario(transmitter=False)
+    free = np.argwhere(scenario.flyable)
+    readings = Measurements.at(free[rng.permutation(len(free))[:9]], rng.uniform(-130, -70, 9))
+    with_judge, without = (p.begin(scenario).updated(readings) for p in (predictor, replace(predictor, judge="")))
+    assert np.allclose(with_judge.search.located, without.search.located)
+    assert not np.allclose(without.search.probability, without.search.located)
+
+
+def test_the_judge_forgives_what_noise_explains(predictor, rng):
+    scenario = example_scenario(transmitter=False)
+    free = np.argwhere(scenario.flyable)
+    cells, gain = free[rng.permutation(len(free))[:9]], rng.uniform(-130, -70, 9)
+    exact, noisy = (predictor.begin(scenario).updated(Measurements.at(cells, gain, noise_std_db=s)) for s in (0.0, 20.0))
+    k = TERMS.index("z absolute")
+    shared = len(predictor.begin(scenario).candidates)
+    assert (noisy.terms[k, :shared] < 0.7 * exact.terms[k, :shared]).all()
 
 
 def test_the_field_is_the_textbook_gaussian_process(rng):

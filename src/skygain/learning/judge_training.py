@@ -1,10 +1,10 @@
 """Training the judge of candidates (`candidate_judge`) on surveys of cities that the operator and the locator were not trained on.
 
 The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once: a window, its
-transmitters, a path for each of random waypoints, lawnmower lines or scattered cells, and at three moments of each survey what the judge
-would see of every candidate, which candidates stand near the transmitter, and how the candidates' maps err together: with E[c] the error of
-candidate c's map over the unvisited outdoor cells, weights w make the mean squared error wᵀ(EEᵀ/cells)w. The loss is the
-cross-entropy of the candidates near the transmitter plus a share of the root of that.
+transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or planned as in `trajectories.covering_paths`, and at
+three moments of each survey what the judge would see of every candidate, which candidates stand near the transmitter, and how the
+candidates' maps err together: with E[c] the error of candidate c's map over the unvisited outdoor cells, weights w make the mean
+squared error wᵀ(EEᵀ/cells)w. The loss is the cross-entropy of the candidates near the transmitter plus a share of the root of that.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,10 @@ from skygain.workers import process_pool
 SIDE = 96
 PER_CITY = 4
 """transmitters listened to in each city"""
+PLANNED = 0.3
+"""share of surveys on paths as planners fly them"""
+CITIES_AT_ONCE = 4
+"""per task of a worker"""
 READINGS_AT_ONCE = 24
 """per update of the belief"""
 NEAR_M = 8.0
@@ -158,7 +164,7 @@ def _scores(network: _Network, samples: list[_Sample]) -> dict[str, float]:
     with torch.inference_mode():
         answers = [network(s.inputs) for s in samples]
     entropy = [float(-(s.target * a.clamp(min=-12.0)).sum()) for s, a in zip(samples, answers, strict=True)]
-    error = [float(torch.sqrt(a.exp() @ s.gram @ a.exp())) for s, a in zip(samples, answers, strict=True)]
+    error = [float(torch.sqrt((a.exp() @ s.gram @ a.exp()).clamp(min=0))) for s, a in zip(samples, answers, strict=True)]
     best = [float(torch.sqrt(s.gram[k, k])) for s in samples for k in [int(s.target.argmax())]]
     return {
         "cross_entropy": round(float(np.mean(entropy)), 4),
@@ -180,9 +186,9 @@ def _flown(
     report: Callable[[dict[str, Any]], None],
 ) -> list[_Sample]:
     """The surveys of ``split``, flown as far as that has not been done with these weights."""
-    sources = (predictor.weights, predictor.paths, predictor.locator)
+    sources, flights = (predictor.weights, predictor.paths, predictor.locator), (PER_CITY, PLANNED, SIDE)
     state = hashlib.sha256(
-        b"".join([*(weight_file(name).read_bytes() for name in sources), repr(predictor.settings).encode()])
+        b"".join([*(weight_file(name).read_bytes() for name in sources), repr((predictor.settings, flights)).encode()])
     ).hexdigest()[:12]
     files: list[Path] = []
     for path in _several(data):
@@ -194,41 +200,49 @@ def _flown(
         folder.mkdir(parents=True, exist_ok=True)
         here = [folder / f"{city:04d}.npz" for city in range(cities)]
         missing = [city for city, file in enumerate(here) if not file.exists()]
+        done = 0
+
+        def flown(some: int) -> None:
+            nonlocal done
+            done += some
+            report({"pool": path.name, "split": split, "city": done, "of": len(missing)})  # noqa: B023 - called within the iteration
+
         if workers > 1 and len(missing) > 1:
+            parts = [missing[k : k + CITIES_AT_ONCE] for k in range(0, len(missing), CITIES_AT_ONCE)]
             with process_pool(workers) as processes:
-                jobs = [processes.submit(_fly_some, path, split, predictor, missing[k::workers], here) for k in range(workers)]
-                for job in jobs:
-                    job.result()
+                jobs = [processes.submit(_fly_some, path, split, predictor, part, here) for part in parts]
+                for job in as_completed(jobs):
+                    flown(job.result())
         else:
-            _fly_some(path, split, predictor, missing, here, report)
+            for city in missing:
+                flown(_fly_some(path, split, predictor, [city], here))
         files += here
     if not files:
         raise InputError(f"{', '.join(map(str, _several(data)))} holds no link of split {split!r}, which the judge needs")
     return [sample for file in files for sample in _read(file)]
 
 
-def _fly_some(
-    data: Path,
-    split: str,
-    predictor: OperatorPredictor,
-    cities: list[int],
-    files: list[Path],
-    report: Callable[[dict[str, Any]], None] = lambda record: None,
-) -> None:
-    if not cities:
-        return
-    torch.set_num_threads(1)
-    links = load_links(data, split)
-    for done, city in enumerate(cities, 1):
-        _write(files[city], _city_samples(links, city, predictor, np.random.default_rng([ord(split[1]), city])))
-        report({"pool": data.name, "split": split, "city": done, "of": len(cities)})
+_held = lru_cache(maxsize=1)(load_links)
+
+
+def _fly_some(data: Path, split: str, predictor: OperatorPredictor, cities: list[int], files: list[Path]) -> int:
+    links, threads = _held(data, split), torch.get_num_threads()
+    torch.set_num_threads(1)  # the networks are small; several threads would only wait for each other
+    try:
+        for city in cities:
+            # A stream of its own for every data set, so that two with the same cities fly different surveys.
+            stream = [int.from_bytes(data.name.encode()[:8], "little"), ord(split[1]), city]
+            _write(files[city], _city_samples(links, city, predictor, np.random.default_rng(stream)))
+    finally:
+        torch.set_num_threads(threads)
+    return len(cities)
 
 
 def _city_samples(links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator) -> list[_Sample]:
     heard = np.flatnonzero((links.city == city) & links.available.any(axis=1))
     altitude = int(rng.choice(np.flatnonzero(links.available[heard].any(axis=0))))
     heard = heard[links.available[heard, altitude]]
-    row, col = (int(rng.integers(n - SIDE + 1)) for n in links.height_m.shape[1:])
+    row, col = links.corner(rng, SIDE)
     samples: list[_Sample] = []
     scenario = None
     for link in rng.permutation(heard)[:PER_CITY]:
@@ -241,7 +255,7 @@ def _city_samples(links: Links, city: int, predictor: OperatorPredictor, rng: np
 
 
 def _survey_samples(scenario: Scenario, view: View, predictor: OperatorPredictor, rng: np.random.Generator) -> list[_Sample]:
-    cells, samples = survey_cells(view.outdoor, rng), []
+    cells, samples = survey_cells(view.outdoor, rng, PLANNED), []
     belief, taken, n = predictor.begin(scenario), 0, len(cells)
     for moment in (max(1, int(n * rng.uniform(0.1, 0.4))), max(1, int(n * rng.uniform(0.4, 0.8))), n):
         while taken < moment:

@@ -12,6 +12,7 @@ __all__ = ["Links", "View", "load_links", "read_links"]
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,9 +79,19 @@ class Links:
         altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
         having = np.flatnonzero(self.available[:, altitude])
         link = int(having[rng.integers(len(having))])
-        rows, cols = self.height_m.shape[1:]
-        row, col = int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
+        row, col = self.corner(rng, side)
         return self.view(link, altitude, row, col, side, int(rng.integers(8)) if augment else 0)
+
+    def corner(self, rng: np.random.Generator, side: int) -> tuple[int, int]:
+        """First cell (row, col) of a window of ``side`` cells drawn at random.
+
+        Raises:
+            InputError: the maps are smaller than the window.
+        """
+        rows, cols = self.height_m.shape[1:]
+        if min(rows, cols) < side:
+            raise InputError(f"the data set's maps have {rows} × {cols} cells; training needs windows of {side} × {side}")
+        return int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
 
     def view(self, link: int, altitude: int, row: int, col: int, side: int, symmetry: int = 0) -> View:
         """The window of ``side`` cells whose first cell is (row, col).
@@ -136,12 +147,12 @@ def read_links(path: Path, split: str) -> Links | None:
 
     if not path.exists():
         raise InputError(f"no data set at {path}; give the path of a .zarr or .zarr.zip data set (see `skygain data`)")
-    store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else zarr.storage.LocalStore(path)
     try:
+        store = zarr.storage.ZipStore(path, mode="r") if path.suffix == ".zip" else zarr.storage.LocalStore(path)
         data = xr.open_zarr(store, consolidated=False)
         cities = np.flatnonzero(data["split"].values.astype(str) == split)
         city_index = data["city_index"].values.astype(np.int64)
-    except (KeyError, FileNotFoundError, ValueError) as error:
+    except (KeyError, OSError, ValueError, BadZipFile) as error:
         raise InputError(f"{path} is not a Skygain data set ({error}); expected split, city_index, gain_db and others") from error
     kept = np.flatnonzero(np.isin(city_index, cities))
     if not len(kept):

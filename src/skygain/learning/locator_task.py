@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = ["LocatorPool", "LocatorTask", "survey_cells"]
 
+import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,9 +26,9 @@ from skygain.learning.links import Links, read_links
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.path_model import PathModel
 from skygain.learning.tasks import Batch, Paths, odds_for
-from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
+from skygain.learning.trajectories import covering_paths, lawnmower_cells, random_waypoints, scattered_cells
 from skygain.learning.transmitter_evidence import CHANNELS, EvidenceSums, PathPredictions, PositionGrid, evidence_channels
-from skygain.learning.weights import find_weights, runs_folder
+from skygain.learning.weights import runs_folder, weight_file
 
 MOMENTS = 3
 """per survey: somewhere in its first part, in its middle, and at its end"""
@@ -110,7 +111,9 @@ class LocatorTask:
 
     def _pool(self, data: Path, split: str, report: Callable[[dict[str, Any]], None]) -> list[Path]:
         """The files of one data set, one for each city, those missing made first."""
-        folder = (Path(self.pool) if self.pool else runs_folder() / "locator-pool") / data.name / split
+        made_by = f"{self.side} {self.flights} {self.altitude_odds} {MARGIN_CELLS} {SIDE_CELLS} {CHANNELS}".encode()
+        state = hashlib.sha256(made_by + weight_file(self.paths).read_bytes()).hexdigest()[:12]
+        folder = (Path(self.pool) if self.pool else runs_folder() / "locator-pool") / f"{data.name}-{state}" / split
         links = read_links(data, split)
         if links is None:
             return []  # another data set may have some
@@ -119,7 +122,7 @@ class LocatorTask:
         model = None
         for city, file in enumerate(files):
             if not file.exists():
-                model = model or PathModel.load(find_weights(self.paths))
+                model = model or PathModel.load(weight_file(self.paths))
                 _write(file, *self._flown(links, city, model, np.random.default_rng([ord(split[1]), city])))
                 report({"pool": data.name, "split": split, "city": city + 1, "of": len(files)})
         return files
@@ -131,9 +134,13 @@ class LocatorTask:
         for _ in range(self.flights):
             heard = np.flatnonzero(links.city == city)
             odds = odds_for(links, self.altitude_odds) * links.available[heard].any(axis=0)
+            if not odds.sum() > 0:
+                raise InputError(
+                    f"city {city} of the data set has no map at an altitude wanted (odds of 10, 20, 30 m: {self.altitude_odds})"
+                )
             altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
             heard = heard[links.available[heard, altitude]]
-            row, col = (int(rng.integers(n - self.side + 1)) for n in links.height_m.shape[1:])
+            row, col = links.corner(rng, self.side)
             views = [links.view(int(link), altitude, row, col, self.side) for link in heard]
             height, altitude_m = views[0].height_m, views[0].altitude_m
             cells = survey_cells(np.logical_and.reduce([view.outdoor for view in views]), rng)
@@ -189,11 +196,16 @@ class LocatorTask:
         return {name: round(float(torch.cat(values).mean()), 4) for name, values in found.items()}
 
 
-def survey_cells(free: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
-    """``[n, (row, col)]`` distinct cells in the order of measuring: random waypoints (six in ten), lawnmower lines or scattered cells."""
+def survey_cells(free: NDArray[np.bool_], rng: np.random.Generator, planned: float = 0.0) -> NDArray[np.int64]:
+    """``[n, (row, col)]`` distinct cells in the order of measuring.
+
+    A share of ``planned`` covers the map as planners do; the others are random waypoints (six in ten), lawnmower lines or scattered cells.
+    """
     kind, count = rng.random(), int(np.exp(rng.uniform(np.log(12), np.log(600))))
-    if kind < 0.6:
-        uavs = int(rng.choice([1, 2, 3, 3, 3, 4, 5, 6, 8]))
+    uavs = int(rng.choice([1, 2, 3, 3, 3, 4, 5, 6, 8])) if kind < 0.6 or planned > 0 else 1
+    if planned > 0 and rng.random() < planned:
+        cells = covering_paths(free, uavs, -(-count // uavs), rng).transpose(1, 0, 2).reshape(-1, 2)
+    elif kind < 0.6:
         steps = min(max(2 * count // uavs, 4), 300)
         repeat = rng.uniform(0.6, 0.95) if rng.random() < 0.5 else 0.8
         side = 10 if rng.random() < 0.75 else max(free.shape)

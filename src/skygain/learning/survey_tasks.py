@@ -17,7 +17,7 @@ from skygain.learning.links import Links, View
 from skygain.learning.operator_net import OperatorConfig
 from skygain.learning.paper_unet_net import SIDE, PaperUNets, paper_inputs
 from skygain.learning.tasks import Batch, GainTask, odds_for, stacked
-from skygain.learning.trajectories import lawnmower_cells, random_waypoints, scattered_cells
+from skygain.learning.trajectories import covering_paths, lawnmower_cells, random_waypoints, scattered_cells
 
 
 def _odds(links: Links, altitude_m: float) -> NDArray[np.float64]:
@@ -78,6 +78,8 @@ class DirectTask(GainTask):
     """cells along the edge of a training window"""
     altitude_odds: tuple[float, float, float] = (6.0, 1.0, 1.0)
     """relative odds of drawing 10, 20 and 30 m"""
+    planned: float = 0.2
+    """share of surveys on paths as planners fly them, see `trajectories.covering_paths`"""
     mean_scale_db: float = 10.0
     """scale of the squared error added to the likelihood, see `gaussian_loss`"""
     net: OperatorConfig = field(default_factory=OperatorConfig)
@@ -88,7 +90,7 @@ class DirectTask(GainTask):
 
     def batch(self, links: Links, size: int, rng: np.random.Generator, augment: bool = True) -> Batch:
         views = [links.draw(rng, self.side, odds_for(links, self.altitude_odds), augment) for _ in range(size)]
-        return _surveyed(views, [_mask(v.outdoor.shape, measured_cells(v.outdoor, rng)) for v in views])
+        return _surveyed(views, [_mask(v.outdoor.shape, measured_cells(v.outdoor, rng, self.planned)) for v in views])
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         return gaussian_loss(*self.predict(network, batch), batch["truth"], batch["mask"], self.mean_scale_db)
@@ -97,13 +99,18 @@ class DirectTask(GainTask):
         return network(direct_inputs(batch["height_m"], batch["truth"], batch["measured"], batch["altitude_m"]))
 
 
-def measured_cells(free: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
+def measured_cells(free: NDArray[np.bool_], rng: np.random.Generator, planned: float = 0.0) -> NDArray[np.int64]:
     """``[n, (row, col)]`` cells of a survey of a random kind and size.
 
-    Six in ten are random waypoints (1–8 UAVs, p from 0.5 to 0.97, clustered or spread starts), three lawnmower lines, one scattered.
+    A share of ``planned`` covers the map as planners do (1–8 UAVs). Of the others six in ten are random waypoints (1–8 UAVs, p from 0.5 to
+    0.97, clustered or spread starts), three lawnmower lines, one scattered.
     """
-    kind = rng.random()
     count = int(np.exp(rng.uniform(np.log(10), np.log(4000))))
+    if rng.random() < planned:
+        uavs = int(rng.integers(1, 9))
+        side = 10 if rng.random() < 0.7 else max(free.shape)
+        return covering_paths(free, uavs, min(max(count // uavs, 1), 600), rng, side=side).reshape(-1, 2)
+    kind = rng.random()
     if kind < 0.6:
         uavs = int(rng.integers(1, 9))
         lengths = np.full(uavs, min(max(count // uavs, 1), 600))

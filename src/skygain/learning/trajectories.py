@@ -7,7 +7,7 @@ obey the swarm's full rules; here UAVs ignore each other, which leaves the set o
 
 from __future__ import annotations
 
-__all__ = ["lawnmower_cells", "random_waypoints", "scattered_cells"]
+__all__ = ["covering_paths", "lawnmower_cells", "random_waypoints", "scattered_cells"]
 
 import numba
 import numpy as np
@@ -124,6 +124,97 @@ def random_waypoints(
             cells = np.argwhere(free)
             paths[:] = cells[rng.integers(len(cells), size=len(lengths))][:, None]
             break
+    return paths
+
+
+@numba.njit(cache=True, nogil=True)
+def _steps_from(free, sources, steps, before, queue):  # type: ignore[no-untyped-def]
+    """Fewest moves from any of ``sources`` to every free cell (-1: none), and the raveled cell before it on the way."""
+    rows, cols = free.shape
+    steps[:] = -1
+    count = 0
+    for k in sources:
+        if steps[k // cols, k % cols] < 0:
+            steps[k // cols, k % cols] = 0
+            before[k // cols, k % cols] = k
+            queue[count] = k
+            count += 1
+    done = 0
+    while done < count:
+        k = queue[done]
+        done += 1
+        r, c = k // cols, k % cols
+        for m in range(4):
+            nr, nc = r + (1, 0, -1, 0)[m], c + (0, 1, 0, -1)[m]
+            if 0 <= nr < rows and 0 <= nc < cols and free[nr, nc] and steps[nr, nc] < 0:
+                steps[nr, nc] = steps[r, c] + 1
+                before[nr, nc] = k
+                queue[count] = nr * cols + nc
+                count += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _cover(free, n_steps, reach, thrift, side, seed, paths):  # type: ignore[no-untyped-def]
+    rows, cols = free.shape
+    state = np.empty(1, dtype=np.uint64)
+    state[0] = np.uint64(seed) | np.uint64(1)
+    for _ in range(8):
+        _next(state)
+    n_uavs = paths.shape[0]
+    if not _cluster(free, side, n_uavs, state, paths[:, 0]):
+        return False
+    taken = np.empty(n_uavs * (n_steps + 2) + rows * cols, dtype=np.int64)
+    known = 0
+    for u in range(n_uavs):
+        taken[known] = paths[u, 0, 0] * cols + paths[u, 0, 1]
+        known += 1
+    away, own = np.empty((rows, cols), dtype=np.int64), np.empty((rows, cols), dtype=np.int64)
+    before, queue = np.empty((rows, cols), dtype=np.int64), np.empty(rows * cols, dtype=np.int64)
+    route, left = np.empty((n_uavs, rows * cols), dtype=np.int64), np.zeros(n_uavs, dtype=np.int64)
+    for t in range(1, n_steps + 1):
+        for u in range(n_uavs):
+            here = paths[u, t - 1, 0] * cols + paths[u, t - 1, 1]
+            if left[u] == 0:
+                _steps_from(free, taken[:known], away, before, queue)
+                taken[known] = here
+                _steps_from(free, taken[known : known + 1], own, before, queue)
+                best, goal = -1e9, here
+                for r in range(rows):
+                    for c in range(cols):
+                        if own[r, c] > 0 and away[r, c] > 0:
+                            value = min(away[r, c], reach) - thrift * own[r, c] + _uniform(state)
+                            if value > best:
+                                best, goal = value, r * cols + c
+                taken[known] = goal  # nobody else need go there
+                known += 1
+                while goal != here:
+                    route[u, left[u]] = goal
+                    left[u] += 1
+                    goal = before[goal // cols, goal % cols]
+            if left[u] > 0:
+                left[u] -= 1
+                here = route[u, left[u]]
+                taken[known] = here
+                known += 1
+            paths[u, t, 0], paths[u, t, 1] = here // cols, here % cols
+    return True
+
+
+def covering_paths(
+    free: NDArray[np.bool_], n_uavs: int, n_steps: int, rng: np.random.Generator, *, side: int = 10
+) -> NDArray[np.int64]:
+    """``[uav, step, (row, col)]`` flights as a planner would have them: each UAV goes the shortest way to where little has been measured.
+
+    The goal maximises min(moves from the nearest measured cell or goal of another, reach) − thrift · moves from here; reach (4 to 16
+    cells) and thrift (0.05 to 0.6) are drawn. Starts as in `random_waypoints`.
+    """
+    paths = np.zeros((n_uavs, n_steps + 1, 2), dtype=np.int64)
+    free = np.ascontiguousarray(free)
+    reach, thrift = float(rng.uniform(4, 16)), float(rng.uniform(0.05, 0.6))
+    while not _cover(free, n_steps, reach, thrift, int(side), int(rng.integers(2**63)), paths):
+        side *= 2
+        if side > 4 * max(free.shape):
+            return random_waypoints(free, np.full(n_uavs, n_steps), rng)
     return paths
 
 

@@ -116,8 +116,9 @@ class OperatorPredictor(Predictor):
             indices = maps.indices(search.positions(search.chosen))
         whitened, terms = np.empty((0, len(indices)), dtype=np.float32), np.zeros((len(TERMS), len(indices)), dtype=np.float32)
         nothing = np.empty(0, dtype=np.int64)
+        none = np.empty(0)
         return OperatorBelief(
-            scenario, Measurements.none(), settings, maps, indices, whitened, terms, search, residual, nothing, np.empty(0), {}
+            scenario, Measurements.none(), settings, maps, indices, whitened, terms, search, residual, nothing, none, none, {}
         )
 
     def _maps(self, scenario: Scenario) -> OperatorMaps:
@@ -145,7 +146,7 @@ class OperatorBelief(Belief):
     candidates: NDArray[np.int64]
     """``[c]`` index of each candidate's map"""
     whitened: NDArray[np.float32]
-    """``[n, c]`` L⁻¹ z_c, for Kriging"""
+    """``[n, c]`` L⁻¹ z_c of the softened residuals, for Kriging"""
     terms: NDArray[np.float32]
     """``[term, c]`` sums over the readings that the judge looks at"""
     search: TransmitterSearch | None
@@ -156,6 +157,8 @@ class OperatorBelief(Belief):
     """``[n]`` raveled cells taken in"""
     values: NDArray[np.float64]
     """``[n]`` their gains"""
+    noise_db2: NDArray[np.float64]
+    """``[n]`` their noise variances"""
     exact: dict[int, float]
     """raveled cell → gain, of exact readings"""
 
@@ -190,7 +193,7 @@ class OperatorBelief(Belief):
             return replace(self, measurements=everything)
         order = np.argsort(readings.cells)  # the same rows of L whatever the order the readings came in
         cells, gain, noise = readings.cells[order], readings.gain_db[order], readings.noise_db2[order]
-        grown = self._grown(cells, gain, noise / self._scale_at(cells))
+        grown = self._grown(cells, gain, noise)
         exact = {int(cell): float(value) for cell, value in zip(cells[noise == 0], gain[noise == 0], strict=True)}
         return replace(grown, measurements=everything, exact={**self.exact, **exact})._refined(len(cells))
 
@@ -236,37 +239,48 @@ class OperatorBelief(Belief):
         _, std = self.maps.at(self.candidates, cells, self.scenario.uav_altitude_m)
         return (std**2 + self._blur() ** 2) @ self.weights()
 
-    def _residuals(
+    def _softened(
         self, candidates: NDArray[np.int64], cells: NDArray[np.int64], gain: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Standardised residuals softened and as they are, and the standard deviation, each ``[cell, candidate]``."""
+    ) -> NDArray[np.float32]:
+        """``[cell, candidate]`` standardised residuals z, softened to a·arcsinh(z/a)."""
         mean, std = self.maps.at(candidates, cells, self.scenario.uav_altitude_m)
-        a, z = np.float32(self.settings.soften), (gain[:, None].astype(np.float32) - mean) / std
-        return a * np.arcsinh(z / a), z, std
+        a = np.float32(self.settings.soften)
+        return a * np.arcsinh((gain[:, None].astype(np.float32) - mean) / (a * std))
 
     def _terms(
-        self, z: NDArray[np.float32], whitened: NDArray[np.float32], std: NDArray[np.float32], gain: NDArray[np.float64]
+        self,
+        candidates: NDArray[np.int64],
+        whitened: NDArray[np.float32],
+        cells: NDArray[np.int64],
+        gain: NDArray[np.float64],
+        noise_db2: NDArray[np.float64],
     ) -> NDArray[np.float32]:
+        """What the judge sums up of these readings; their noise adds to the candidates' own uncertainty."""
         if self.search is None:
-            return np.zeros((len(TERMS), z.shape[1]), dtype=np.float32)
-        return error_terms(z, whitened, std, gain - frequency_shift_db(self.scenario))
+            return np.zeros((len(TERMS), len(candidates)), dtype=np.float32)
+        mean, std = self.maps.at(candidates, cells, self.scenario.uav_altitude_m)
+        std = np.sqrt(std**2 + noise_db2[:, None].astype(np.float32))
+        return error_terms(
+            (gain[:, None].astype(np.float32) - mean) / std, whitened, std, gain - frequency_shift_db(self.scenario)
+        )
 
-    def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_share: NDArray[np.float64]) -> OperatorBelief:
+    def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_db2: NDArray[np.float64]) -> OperatorBelief:
         residual, whitened = self.residual, self.whitened
+        noise_share = noise_db2 / self._scale_at(cells)
         places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
-        soft, z, std = self._residuals(self.candidates, cells, gain)
+        soft = self._softened(self.candidates, cells, gain)
         for k, (row, col) in enumerate(places.tolist()):
             residual, tie = residual.grown((row, col), float(noise_share[k]))
             whitened = np.concatenate([whitened, (soft[k] - tie @ whitened)[None] / residual.diagonal[-1]])
-        trusted = self.settings.sharpen if self.maps.network.judge is None else 1.0
         return replace(
             self,
             whitened=whitened,
-            terms=self.terms + self._terms(z, whitened[len(self.cells) :], std, gain),
-            search=None if self.search is None else self.search.grown(self.maps, places, gain, trusted),
+            terms=self.terms + self._terms(self.candidates, whitened[len(self.cells) :], cells, gain, noise_db2),
+            search=None if self.search is None else self.search.grown(self.maps, places, gain, self.settings.sharpen),
             residual=residual,
             cells=np.append(self.cells, cells),
             values=np.append(self.values, gain),
+            noise_db2=np.append(self.noise_db2, noise_db2),
         ).judged()
 
     def _refined(self, news: int) -> OperatorBelief:
@@ -279,12 +293,12 @@ class OperatorBelief(Belief):
             return self
         L = np.tril(self.residual.W[:, self.cells].T, -1)
         np.fill_diagonal(L, self.residual.diagonal)
-        soft, z, std = self._residuals(joining, self.cells, self.values)
+        soft = self._softened(joining, self.cells, self.values)
         whitened = solve_triangular(L, soft, lower=True, check_finite=False).astype(np.float32)
         return replace(
             self,
             candidates=np.append(self.candidates, joining),
             whitened=np.concatenate([self.whitened, whitened], axis=1),
-            terms=np.concatenate([self.terms, self._terms(z, whitened, std, self.values)], axis=1),
+            terms=np.concatenate([self.terms, self._terms(joining, whitened, self.cells, self.values, self.noise_db2)], axis=1),
             search=search,
         ).judged()

@@ -115,12 +115,12 @@ class TransmitterSearch:
         mass = np.bincount(self.nearest, located, minlength=len(self.chosen))
         return replace(self, probability=located * (weight / mass)[self.nearest])
 
-    def grown(self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, sharpen: float) -> TransmitterSearch:
-        """After readings ``gain_db[m]`` at ``cells[m, (row, col)]``; the locator's answer is raised to the power ``sharpen``."""
+    def grown(self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, power: float) -> TransmitterSearch:
+        """After readings ``gain_db[m]`` at ``cells[m, (row, col)]``: the probability is the locator's, raised to ``power``."""
         evidence = maps.path_evidence(self.evidence, cells, gain_db)
-        weight = maps.transmitter_probability(evidence) ** sharpen
-        probability = weight / weight.sum()
-        return replace(self, evidence=evidence, probability=probability, located=probability)
+        located = maps.transmitter_probability(evidence)
+        weight = located**power
+        return replace(self, evidence=evidence, probability=weight / weight.sum(), located=located)
 
     def refined(self, count: int, gain_m: float) -> TransmitterSearch:
         """With up to ``count`` more candidates, each shortening the mean distance by at least ``gain_m``."""
