@@ -22,6 +22,7 @@ types: .venv/test.stamp
 
 docs: .venv/test.stamp
 	$(BIN)/python docs/check.py
+	$(BIN)/python benchmarks/document_tables.py --check
 
 check: test lint types docs
 

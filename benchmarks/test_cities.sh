@@ -1,7 +1,7 @@
 #!/bin/sh
 # The test cities, T4, with everything that was chosen on T2 and T3:  sh benchmarks/test_cities.sh DATA.zarr.zip [OUT]
 # Each comparison can be killed and goes on; tables and numbers are copied to benchmarks/results/test_cities_*, from where
-# benchmarks/test_cities_tables.py takes those of docs/test-cities.md. ONLY="planners spread" runs some of them.
+# benchmarks/document_tables.py takes those of README.md and docs/. ONLY="planners spread" runs some of them.
 set -eu
 data=$1 out=${2:-surveys/test-cities}
 here=$(dirname "$0")
@@ -39,8 +39,8 @@ done
 compare spread --max-surveys 12 --start spread --methods "${spread#,}"
 compare five --max-surveys 12 --uavs 5 --methods "${five#,}"
 
-# Higher up: one survey each in 12 cities, random waypoints. The paper has one model per altitude, ours is the same at all of them.
+# Higher up: one survey in each city, random waypoints. The paper has one model per altitude, ours is the same at all of them.
 for metres in 20 30; do
-    compare "altitude_$metres" --max-surveys 12 --altitude "$metres" --planners random-waypoint \
+    compare "altitude_$metres" --max-surveys 30 --altitude "$metres" --planners random-waypoint \
         --predictors "kriging,paper-unet:weights=paper-unet-${metres}m,operator"
 done

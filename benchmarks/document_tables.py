@@ -1,19 +1,23 @@
-"""Write the tables of docs/test-cities.md from benchmarks/results/test_cities_*.json:  python benchmarks/test_cities_tables.py
+"""Write the measured tables of README.md and docs/ from benchmarks/results:  python benchmarks/document_tables.py [--check]
 
-A table stands between the lines ``<!-- NAME -->`` and ``<!-- end -->``, where NAME is ``scores COMPARISON``,
-``differences COMPARISON: A - B; C - D`` or ``saved COMPARISON: A; B``; everything else in the page is left as it is.
+A table stands between the lines ``<!-- REQUEST -->`` and ``<!-- end -->``; everything else in a page is left as it is. From
+``test_cities_NAME.json`` come ``scores NAME``, ``errors NAME: A; B`` (the RMSE of some methods), ``differences NAME: A - B; C - D`` and
+``saved NAME: A; B``; ``file NAME.md table K columns N`` is the first N columns of the K-th table of that file. With ``--check`` nothing
+is written, and the exit code is 1 if a page is not what it should be.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "docs" / "test-cities.md"
+PAGES = [HERE.parent / "README.md", *sorted((HERE.parent / "docs").glob("*.md"))]
 STEPS = (50, 100, 200)
 
 
@@ -42,6 +46,24 @@ def scores(name: str) -> list[str]:
         cover = at(found, curves["coverage90"], 200)["mean"]
         lines.append(f"| {method} | {' | '.join(cells)} | {entry['gof']:+.2f} | {100 * cover:.1f} % |")
     return lines
+
+
+def errors(name: str, methods: list[str]) -> list[str]:
+    """RMSE of ``methods``, a row each."""
+    found = comparison(name)
+    lines = ["| predictor / planner | " + " | ".join(f"RMSE T={t}" for t in STEPS) + " |", "|---" * (len(STEPS) + 1) + "|"]
+    for method in methods:
+        values = [at(found, found["methods"][method]["scores"]["rmse_db"], t) for t in STEPS]
+        cells = " | ".join(f"{v['mean']:.2f} [{v['low']:.2f}, {v['high']:.2f}]" for v in values)
+        lines.append(f"| {method} | {cells} |")
+    return lines
+
+
+def part_of_file(name: str, number: int, columns: int) -> list[str]:
+    """The first ``columns`` columns of the ``number``-th table of a file, counted from 1."""
+    blocks = re.findall(r"(?:^\|.*\n)+", (HERE / "results" / name).read_text(encoding="utf-8"), re.MULTILINE)
+    rows = [row.strip().strip("|").split("|") for row in blocks[number - 1].splitlines()]
+    return ["|" + "|".join(cells[:columns]) + "|" for cells in rows]
 
 
 def differences(name: str, pairs: list[str]) -> list[str]:
@@ -80,23 +102,35 @@ def saved(name: str, methods: list[str]) -> list[str]:
 
 def table(request: str) -> list[str]:
     """What stands under ``<!-- request -->``."""
+    if found := re.fullmatch(r"file (\S+) table (\d+) columns (\d+)", request):
+        return part_of_file(found[1], int(found[2]), int(found[3]))
     head, _, rest = request.partition(":")
     kind, name = head.split()
     wanted = [part.strip() for part in rest.split(";") if part.strip()]
     return {
         "scores": lambda: scores(name),
+        "errors": lambda: errors(name, wanted),
         "differences": lambda: differences(name, wanted),
         "saved": lambda: saved(name, wanted),
     }[kind]()
 
 
-def main() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    block = re.compile(r"<!-- ((?:scores|differences|saved) [^>]*?) -->\n.*?<!-- end -->", re.DOTALL)
-    found = block.sub(lambda m: "\n".join([f"<!-- {m[1]} -->", "", *table(m[1]), "", "<!-- end -->"]), text)
-    PAGE.write_text(found, encoding="utf-8")
-    print(f"{len(block.findall(text))} tables in {PAGE.name}")
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page would change")
+    check = parser.parse_args().check
+    block = re.compile(r"<!-- ((?:scores|errors|differences|saved|file) [^>]*?) -->\n.*?<!-- end -->", re.DOTALL)
+    stale = 0
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        found = block.sub(lambda m: "\n".join([f"<!-- {m[1]} -->", "", *table(m[1]), "", "<!-- end -->"]), text)
+        if found != text:
+            stale += 1
+            print(f"{page.name}: {'not what the results say; run this without --check' if check else 'written'}")
+            if not check:
+                page.write_text(found, encoding="utf-8")
+    return 1 if check and stale else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
