@@ -51,7 +51,7 @@ def main() -> None:
                 ]
             except InputError:  # the split has no maps at this altitude
                 continue
-            scores = task.scores(network, batches, lambda: native_autocast(True))
+            scores = task.scores(network, batches, native_autocast(True))
             rmse, traced, rest, nll, fit, cover = (scores[f"{name}@{altitude:g}"] for name in COLUMNS)
             lines.append(
                 f"| {split} | {altitude:g} m | {rmse:.2f} | {traced:.2f} | {rest:.2f} | {nll:.3f} | {fit:+.2f} | {100 * cover:.1f} % |"

@@ -68,7 +68,7 @@ class OperatorSettings:
     """largest number of squares; their side doubles until it holds"""
     gain_m: float = 0.25
     """a candidate is added only if it brings the probability closer to its representatives by so much on average"""
-    sharpen: float = 1.5
+    sharpen: float = 1.25
     """power of the judge's probabilities (of the locator's where there is no judge)"""
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
