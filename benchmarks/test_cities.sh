@@ -40,7 +40,8 @@ compare spread --max-surveys 12 --start spread --methods "${spread#,}"
 compare five --max-surveys 12 --uavs 5 --methods "${five#,}"
 
 # Higher up: one survey in each city, random waypoints. The paper has one model per altitude, ours is the same at all of them.
-for metres in 20 30; do
-    compare "altitude_$metres" --max-surveys 30 --altitude "$metres" --planners random-waypoint \
-        --predictors "kriging,paper-unet:weights=paper-unet-${metres}m,operator"
+for metres in 10 20 30; do
+    unet=paper-unet
+    [ "$metres" = 10 ] || unet="paper-unet:weights=paper-unet-${metres}m"
+    compare "altitude_$metres" --max-surveys 30 --altitude "$metres" --planners random-waypoint --predictors "kriging,$unet,operator"
 done
