@@ -29,7 +29,7 @@ def main() -> None:
     parser.add_argument("--recipe", default="paper-unet")
     parser.add_argument("--checkpoint", type=Path, help="by default that of the recipe's run in the user's cache")
     parser.add_argument("--windows", default=512, type=int)
-    parser.add_argument("--earlier", action="append", default=[], type=Path, help="checkpoint of an earlier run, for comparison")
+    parser.add_argument("--earlier", action="append", default=[], type=Path, help="checkpoint of another run, for comparison")
     options = parser.parse_args()
     checkpoint = options.checkpoint or runs_folder() / options.recipe / "checkpoint.safetensors"
     task = RECIPES[options.recipe].task
@@ -57,7 +57,7 @@ def main() -> None:
             scored(f"dense layers in {bits} bits", file, frozen=False)
             scored(f"dense layers in {bits} bits, answering in bfloat16", file, frozen=True)
     for file in options.earlier:
-        scored(f"earlier run {file.parent.name}, single precision", file, frozen=False)
+        scored(f"run {file.parent.name}, single precision", file, frozen=False)
     key = next(k for k in rows[0][2] if k.startswith("rmse_db@")).removeprefix("rmse_db@")
     base = rows[0][2][f"rmse_db@{key}"]
     lines = [

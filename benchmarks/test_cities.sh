@@ -21,6 +21,9 @@ compare() {
 compare predictors --max-surveys 60 --planners random-waypoint \
     --predictors kriging,paper-unet,paper-unet-mapblind,unet,operator
 
+# The paper's U-Nets trained for 81,600 samples more than those that ship (a run called paper-unet-longer, begun from paper-unet).
+compare longer --max-surveys 60 --planners random-waypoint --predictors operator,paper-unet,paper-unet:weights=paper-unet-longer
+
 # Planners, three UAVs from a cluster: the paper's predictor, ours, and Kriging.
 both="paper-unet / random-waypoint,paper-unet / greedy-variance,paper-unet / lawnmower,paper-unet / sequential-greedy"
 both="$both,paper-unet / imitation,paper-unet / dqn"
