@@ -5,6 +5,7 @@ from __future__ import annotations
 __all__ = ["OperatorMaps", "OperatorNetwork", "frequency_shift_db"]
 
 import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +53,7 @@ class OperatorNetwork:
         heights, spacing = scenario.city.height_m, scenario.grid.spacing_m
         shift = frequency_shift_db(scenario)
         means, stds = [], []
-        with torch.inference_mode(), _autocast():
+        with torch.inference_mode(), _autocast(), _threads_for(len(positions)):
             for first in range(0, len(positions), CHUNK):
                 inputs = operator_inputs(heights, spacing, positions[first : first + CHUNK], altitude_m, self.profile)
                 mean, log_variance = self.network(torch.from_numpy(inputs).to(memory_format=torch.channels_last))
@@ -70,7 +71,7 @@ class OperatorNetwork:
         if self._locator is None:
             self._locator = LocatorNet()
             load_network(self._locator, self._located_by)
-        with torch.inference_mode(), _autocast():
+        with torch.inference_mode(), _autocast(), _threads_for(1):
             inputs = torch.from_numpy(channels[None]).to(memory_format=torch.channels_last)
             return torch.exp(self._locator(inputs)[0]).numpy().reshape(channels.shape[1:])
 
@@ -85,6 +86,20 @@ def _autocast() -> Any:
 
     bf16 = torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported()
     return torch.autocast("cpu", dtype=torch.bfloat16) if bf16 else contextlib.nullcontext()
+
+
+@contextlib.contextmanager
+def _threads_for(maps: int) -> Iterator[None]:
+    """One thread for a few maps: several would spend the update waiting for each other, see benchmarks/results/belief_update.md."""
+    import torch
+
+    before = torch.get_num_threads()
+    if maps < CHUNK:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @dataclass(eq=False)
