@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from skygain.learning.candidate_judge import INPUTS, TERMS, CandidateJudge, judge_inputs
+from skygain.learning.candidate_judge import INPUTS, TERMS, CandidateJudge, error_terms, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.operator_net import PropagationOperator
@@ -65,8 +65,8 @@ def test_what_the_judge_sees_is_the_same_however_the_candidates_came(predictor, 
     for cell, value in zip(cells, gain, strict=True):
         belief = belief.updated(Measurements.at([cell], [value]))
     assert len(belief.candidates) > len(predictor.begin(scenario).candidates)
-    at_once = belief._terms(belief.candidates, belief.whitened, belief.cells, belief.values, belief.noise_db2)
-    assert np.allclose(belief.terms, at_once, rtol=1e-3, atol=1e-2)
+    _, z, std = belief._residuals(belief.candidates, belief.cells, belief.values, belief.noise_db2)
+    assert np.allclose(belief.terms, error_terms(z, belief.whitened, std, belief.values), rtol=1e-3, atol=1e-2)
     judge = CandidateJudge.load(predictor.judge)
     expected = judge.probability(judge_inputs(belief.terms, 15, *belief.search.standing()), belief.settings.sharpen)
     assert np.allclose(belief.weights(), expected, atol=1e-6)

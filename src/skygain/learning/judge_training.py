@@ -32,7 +32,7 @@ from skygain.errors import InputError
 from skygain.grid import Grid
 from skygain.learning.candidate_judge import INPUTS, judge_inputs
 from skygain.learning.checkpoints import save_checkpoint
-from skygain.learning.links import Links, View, load_links, read_links
+from skygain.learning.links import Links, View, load_links, read_links, several_paths
 from skygain.learning.locator_task import survey_cells
 from skygain.learning.train import Result
 from skygain.learning.weights import runs_folder, weight_file
@@ -139,7 +139,7 @@ def train_judge(
     card = {
         "name": "judge",
         "what": "judge of candidate positions: how their maps agree with the readings -> probability",
-        "data": " + ".join(Path(path).name for path in _several(data)) + ", split T3; scores on T2",
+        "data": " + ".join(path.name for path in several_paths(data)) + ", split T3; scores on T2",
         "surveys": len(training) // 3,
         "rounds": rounds,
         "hidden": hidden,
@@ -173,10 +173,6 @@ def _scores(network: _Network, samples: list[_Sample]) -> dict[str, float]:
     }
 
 
-def _several(data: str | Path | Sequence[str | Path]) -> list[Path]:
-    return [Path(data)] if isinstance(data, str | Path) else [Path(path) for path in data]
-
-
 def _flown(
     data: str | Path | Sequence[str | Path],
     split: str,
@@ -191,7 +187,7 @@ def _flown(
         b"".join([*(weight_file(name).read_bytes() for name in sources), repr((predictor.settings, flights)).encode()])
     ).hexdigest()[:12]
     files: list[Path] = []
-    for path in _several(data):
+    for path in several_paths(data):
         links = read_links(path, split)
         if links is None:
             continue  # another data set may have some
@@ -218,11 +214,11 @@ def _flown(
                 flown(_fly_some(path, split, predictor, [city], here))
         files += here
     if not files:
-        raise InputError(f"{', '.join(map(str, _several(data)))} holds no link of split {split!r}, which the judge needs")
+        raise InputError(f"{', '.join(map(str, several_paths(data)))} holds no link of split {split!r}, which the judge needs")
     return [sample for file in files for sample in _read(file)]
 
 
-_held = lru_cache(maxsize=1)(load_links)
+_held = lru_cache(maxsize=1)(load_links)  # a worker is given a few cities at a time
 
 
 def _fly_some(data: Path, split: str, predictor: OperatorPredictor, cities: list[int], files: list[Path]) -> int:

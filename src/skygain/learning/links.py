@@ -7,7 +7,7 @@ of the square) is drawn from a generator and cut out of them.
 
 from __future__ import annotations
 
-__all__ = ["Links", "View", "load_links", "read_links"]
+__all__ = ["Links", "View", "load_links", "read_links", "several_paths"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -132,12 +132,17 @@ def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
     Raises:
         InputError: a file is missing or is no data set, none has a city of that split, or their maps differ in size.
     """
-    several = [paths] if isinstance(paths, str | Path) else list(paths)
-    found = [read_links(Path(path), split) for path in several]
+    several = several_paths(paths)
+    found = [read_links(path, split) for path in several]
     links = [part for part in found if part is not None]
     if not links:
         raise InputError(f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: T1, T2, T3, T4")
     return links[0] if len(links) == 1 else _together(links)
+
+
+def several_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """One data set or several, as a list."""
+    return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
 def read_links(path: Path, split: str) -> Links | None:

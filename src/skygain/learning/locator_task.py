@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skygain.errors import InputError
-from skygain.learning.links import Links, read_links
+from skygain.learning.links import Links, read_links, several_paths
 from skygain.learning.locator_net import LocatorNet
 from skygain.learning.path_model import PathModel
 from skygain.learning.tasks import Batch, Paths, odds_for
@@ -100,8 +100,8 @@ class LocatorTask:
     def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> LocatorPool:
         """The pools of ``split`` of every data set, flown as far as that has not been done yet."""
         channels, transmitter = [], []
-        for path in [data] if isinstance(data, str | Path) else data:
-            for file in self._pool(Path(path), split, report):
+        for path in several_paths(data):
+            for file in self._pool(path, split, report):
                 with np.load(file) as found:
                     transmitter.append(found["transmitter"])
                 channels.append(np.load(file.with_suffix(".maps.npy"), mmap_mode="r"))

@@ -11,6 +11,7 @@ from typing import Any
 
 from skygain.errors import InputError
 from skygain.learning.judge_training import train_judge
+from skygain.learning.links import several_paths
 from skygain.learning.locator_task import LocatorTask
 from skygain.learning.path_model import train_path_model
 from skygain.learning.survey_tasks import DirectTask, PaperTask
@@ -87,7 +88,7 @@ def train_predictor(
     Raises:
         InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
     """
-    several = [data] if isinstance(data, str | Path) else list(data)
+    several = several_paths(data)
     folder = Path(out) if out is not None else runs_folder() / name
     weights = folder / f"{name}.safetensors"
     if name in SMALL:
@@ -97,6 +98,6 @@ def train_predictor(
     result = train(replace(recipe(name), data=tuple(map(str, several)), out=str(folder), **changes), report)
     bits = PAPER_BITS if name.startswith("paper-unet") else 0
     precision = f"float16, the dense layers {bits} bits" if bits else "float16"
-    made_of = " + ".join(Path(path).name for path in several)
+    made_of = " + ".join(path.name for path in several)
     export_weights(result.checkpoint, weights, {"name": name, "data": made_of, "precision": precision}, bits)
     return result

@@ -28,6 +28,15 @@ def _next(state):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
+def _seeded(seed):  # type: ignore[no-untyped-def]
+    state = np.empty(1, dtype=np.uint64)
+    state[0] = np.uint64(seed) | np.uint64(1)
+    for _ in range(8):
+        _next(state)
+    return state
+
+
+@numba.njit(cache=True, nogil=True)
 def _uniform(state):  # type: ignore[no-untyped-def]
     return _next(state) * (1.0 / 9007199254740992.0)
 
@@ -74,10 +83,7 @@ def _cluster(free, side, n_uavs, state, cells):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def _fly(free, lengths, repeat, side, seed, paths):  # type: ignore[no-untyped-def]
     rows, cols = free.shape
-    state = np.empty(1, dtype=np.uint64)
-    state[0] = np.uint64(seed) | np.uint64(1)
-    for _ in range(8):
-        _next(state)
+    state = _seeded(seed)
     n_uavs = paths.shape[0]
     if not _cluster(free, side, n_uavs, state, paths[:, 0]):
         return False
@@ -156,10 +162,7 @@ def _steps_from(free, sources, steps, before, queue):  # type: ignore[no-untyped
 @numba.njit(cache=True, nogil=True)
 def _cover(free, n_steps, reach, thrift, side, seed, paths):  # type: ignore[no-untyped-def]
     rows, cols = free.shape
-    state = np.empty(1, dtype=np.uint64)
-    state[0] = np.uint64(seed) | np.uint64(1)
-    for _ in range(8):
-        _next(state)
+    state = _seeded(seed)
     n_uavs = paths.shape[0]
     if not _cluster(free, side, n_uavs, state, paths[:, 0]):
         return False

@@ -239,43 +239,41 @@ class OperatorBelief(Belief):
         _, std = self.maps.at(self.candidates, cells, self.scenario.uav_altitude_m)
         return (std**2 + self._blur() ** 2) @ self.weights()
 
-    def _softened(
-        self, candidates: NDArray[np.int64], cells: NDArray[np.int64], gain: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """``[cell, candidate]`` standardised residuals z, softened to a·arcsinh(z/a)."""
-        mean, std = self.maps.at(candidates, cells, self.scenario.uav_altitude_m)
-        a = np.float32(self.settings.soften)
-        return a * np.arcsinh((gain[:, None].astype(np.float32) - mean) / (a * std))
-
-    def _terms(
+    def _residuals(
         self,
         candidates: NDArray[np.int64],
-        whitened: NDArray[np.float32],
         cells: NDArray[np.int64],
         gain: NDArray[np.float64],
         noise_db2: NDArray[np.float64],
-    ) -> NDArray[np.float32]:
-        """What the judge sums up of these readings; their noise adds to the candidates' own uncertainty."""
-        if self.search is None:
-            return np.zeros((len(TERMS), len(candidates)), dtype=np.float32)
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Standardised residuals softened to a·arcsinh(z/a), those that the judge sees, and the standard deviation of these.
+
+        Each ``[cell, candidate]``. To the judge the noise of a reading adds to a candidate's own uncertainty.
+        """
         mean, std = self.maps.at(candidates, cells, self.scenario.uav_altitude_m)
-        std = np.sqrt(std**2 + noise_db2[:, None].astype(np.float32))
-        return error_terms(
-            (gain[:, None].astype(np.float32) - mean) / std, whitened, std, gain - frequency_shift_db(self.scenario)
-        )
+        a, error = np.float32(self.settings.soften), gain[:, None].astype(np.float32) - mean
+        whole: NDArray[np.float32] = np.sqrt(std**2 + noise_db2[:, None].astype(np.float32))
+        return a * np.arcsinh(error / (a * std)), error / whole, whole
+
+    def _terms(
+        self, z: NDArray[np.float32], whitened: NDArray[np.float32], std: NDArray[np.float32], gain: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        if self.search is None:
+            return np.zeros((len(TERMS), z.shape[1]), dtype=np.float32)
+        return error_terms(z, whitened, std, gain - frequency_shift_db(self.scenario))
 
     def _grown(self, cells: NDArray[np.int64], gain: NDArray[np.float64], noise_db2: NDArray[np.float64]) -> OperatorBelief:
         residual, whitened = self.residual, self.whitened
         noise_share = noise_db2 / self._scale_at(cells)
         places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
-        soft = self._softened(self.candidates, cells, gain)
+        soft, z, std = self._residuals(self.candidates, cells, gain, noise_db2)
         for k, (row, col) in enumerate(places.tolist()):
             residual, tie = residual.grown((row, col), float(noise_share[k]))
             whitened = np.concatenate([whitened, (soft[k] - tie @ whitened)[None] / residual.diagonal[-1]])
         return replace(
             self,
             whitened=whitened,
-            terms=self.terms + self._terms(self.candidates, whitened[len(self.cells) :], cells, gain, noise_db2),
+            terms=self.terms + self._terms(z, whitened[len(self.cells) :], std, gain),
             search=None if self.search is None else self.search.grown(self.maps, places, gain, self.settings.sharpen),
             residual=residual,
             cells=np.append(self.cells, cells),
@@ -293,12 +291,12 @@ class OperatorBelief(Belief):
             return self
         L = np.tril(self.residual.W[:, self.cells].T, -1)
         np.fill_diagonal(L, self.residual.diagonal)
-        soft = self._softened(joining, self.cells, self.values)
+        soft, z, std = self._residuals(joining, self.cells, self.values, self.noise_db2)
         whitened = solve_triangular(L, soft, lower=True, check_finite=False).astype(np.float32)
         return replace(
             self,
             candidates=np.append(self.candidates, joining),
             whitened=np.concatenate([self.whitened, whitened], axis=1),
-            terms=np.concatenate([self.terms, self._terms(joining, whitened, self.cells, self.values, self.noise_db2)], axis=1),
+            terms=np.concatenate([self.terms, self._terms(z, whitened, std, self.values)], axis=1),
             search=search,
         ).judged()

@@ -90,7 +90,7 @@ def _autocast() -> Any:
 
 @contextlib.contextmanager
 def _threads_for(maps: int) -> Iterator[None]:
-    """One thread for a few maps: several would spend the update waiting for each other, see benchmarks/results/belief_update.md."""
+    """One thread for a few maps: several would spend an update waiting for each other."""
     import torch
 
     before = torch.get_num_threads()
