@@ -1,10 +1,10 @@
-"""How far to trust a predictor: RMSE, cover and goodness of fit for several factors of its variance and powers of the operator's judge.
+"""How far to trust a predictor: RMSE, likelihood, cover and goodness of fit for several factors of its variance and powers of the judge.
 
     python benchmarks/calibration.py DATA.zarr.zip --predictor operator --splits T2 --surveys 100 --powers 1,1.25,1.5
 
 flies surveys (three UAVs, cluster start, 10 m) by random waypoints and by sequential greedy, and evaluates every power and factor on the
-same beliefs at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 (the operator's judge learned from T3); the table goes to
-benchmarks/results/calibration.md.
+same beliefs at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 (the operator's judge learned from T3), by the mean negative
+log likelihood, which punishes too narrow and too wide alike; the table goes to benchmarks/results/calibration.md.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from skygain.survey import Survey
 from skygain.swarm import Swarm
 
 STEPS = (50, 100, 200)
-FACTORS = (0.7, 0.8, 0.85, 0.9, 1.0, 1.1, 1.2)
+FACTORS = (0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)
 
 
 def posteriors(belief: Belief, powers: list[float]) -> Iterator[tuple[float, Posterior]]:
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--out", default=Path(__file__).parent / "results" / "calibration.md", type=Path)
     options = parser.parse_args()
     data = ChannelDataset.open(options.data)
-    found: dict[tuple[str, str, int, float], list[tuple[float, np.ndarray]]] = {}
+    found: dict[tuple[str, str, int, float], list[tuple[float, float, np.ndarray]]] = {}
     for split in options.splits:
         cases = survey_cases(data, split, n_uavs=3, altitude_m=options.altitude, max_surveys=options.surveys)
         for number, case in enumerate(cases, 1):
@@ -72,9 +72,10 @@ def main() -> None:
                     unseen = outdoor & ~swarm.visited  # noqa: B023 - called within the iteration
                     for power, posterior in posteriors(belief, options.powers):
                         square = (posterior.mean_db[unseen] - case.truth_db[unseen].astype(float)) ** 2  # noqa: B023
-                        ratio = square / np.maximum(posterior.variance_db2[unseen], VARIANCE_FLOOR_DB2)
+                        variance = np.maximum(posterior.variance_db2[unseen], VARIANCE_FLOOR_DB2)
+                        ratio, width = (square / variance).astype(np.float32), float(np.log(2 * np.pi * variance).mean())
                         key = (split, name, step, power)  # noqa: B023
-                        found.setdefault(key, []).append((float(np.sqrt(square.mean())), ratio.astype(np.float32)))
+                        found.setdefault(key, []).append((float(np.sqrt(square.mean())), width, ratio))
 
                 survey = Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db))
                 survey.fly(Swarm.deployed(scenario, case.start_cells, STEPS[-1]), case.rng(0), observe)
@@ -84,22 +85,27 @@ def main() -> None:
     lines = [
         f"Predictor {options.predictor}, {', '.join(f'{n} surveys of {split}' for split, n in count.items())}, three UAVs, cluster start, "
         f"{options.altitude:g} m; unvisited outdoor cells, mean over surveys. Goodness of fit / cover of the 50 % / of the 90 % "
-        "interval, by factor of the variance.",
+        "interval / negative log likelihood, by factor of the variance.",
         "",
         "| split, planner, T | power | RMSE dB | " + " | ".join(f"{f:g}" for f in FACTORS) + " |",
         "|---|---|---|" + "---|" * len(FACTORS),
     ]
     half, most = ndtri(0.75) ** 2, ndtri(0.95) ** 2
+    likelihoods: dict[tuple[float, float], list[float]] = {}
     for (split, name, step, power), rows in sorted(
         found.items(), key=lambda item: (item[0][0], item[0][1], item[0][2], item[0][3])
     ):
         cells = []
         for factor in FACTORS:
-            fit = np.log(np.mean([r.mean() / factor for _, r in rows]))
-            inner, outer = (100 * np.mean([(r / factor <= limit).mean() for _, r in rows]) for limit in (half, most))
-            cells.append(f"{fit:+.2f} / {inner:.0f} / {outer:.1f}")
-        rmse = np.mean([error for error, _ in rows])
+            fit = np.log(np.mean([r.mean() / factor for *_, r in rows]))
+            inner, outer = (100 * np.mean([(r / factor <= limit).mean() for *_, r in rows]) for limit in (half, most))
+            nll = np.mean([0.5 * (width + np.log(factor) + r.mean() / factor) for _, width, r in rows])
+            likelihoods.setdefault((power, factor), []).append(float(nll))
+            cells.append(f"{fit:+.2f} / {inner:.0f} / {outer:.1f} / {nll:.3f}")
+        rmse = np.mean([error for error, *_ in rows])
         lines.append(f"| {split}, {name}, {step} | {power:g} | {rmse:.2f} | " + " | ".join(cells) + " |")
+    best = min(likelihoods, key=lambda pair: np.mean(likelihoods[pair]))
+    lines += ["", f"The negative log likelihood is lowest on average with power {best[0]:g} and factor {best[1]:g}."]
     options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n" + "\n".join(lines))
 

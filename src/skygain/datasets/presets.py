@@ -78,7 +78,7 @@ PRESETS = {
         BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000),
         BuildConfig(name="sample", cities=(1, 1, 1, 1), max_sites=3),
         BuildConfig(name="more-cities", cities=(200, 0, 0, 0), max_sites=6, altitudes_m=(10.0,)),
-        BuildConfig(name="more-altitudes", cities=(50, 0, 30, 0), max_sites=6, altitudes_m=(20.0, 30.0)),
+        BuildConfig(name="more-altitudes", cities=(100, 0, 40, 0), max_sites=6, altitudes_m=(20.0, 30.0)),
         BuildConfig(
             name="large",
             cities=(0, 6, 0, 6),
@@ -91,7 +91,7 @@ PRESETS = {
 }
 """``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works;
 ``sample`` is what ships inside the package; ``more-cities`` are training cities to add to another data set (10 m only),
-``more-altitudes`` has the first 50 of them and 30 cities of T3 at 20 and 30 m;
+``more-altitudes`` has the first 100 of them and 40 cities of T3 at 20 and 30 m;
 ``large`` has maps of 256 × 256 cells for swarms of many UAVs, Gudmundson fields over
 cities of 10 × 10 blocks, and is built in seconds"""
 

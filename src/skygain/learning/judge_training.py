@@ -1,6 +1,6 @@
 """Training the judge of candidates (`candidate_judge`) on surveys of cities that the operator and the locator were not trained on.
 
-The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once: a window, its
+The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each of its altitudes: a window, its
 transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or planned as in `trajectories.covering_paths`, and at
 three moments of each survey what the judge would see of every candidate, which candidates stand near the transmitter, and how the
 candidates' maps err together: with E[c] the error of candidate c's map over the unvisited outdoor cells, weights w make the mean
@@ -43,7 +43,7 @@ from skygain.workers import process_pool
 
 SIDE = 96
 PER_CITY = 4
-"""transmitters listened to in each city"""
+"""transmitters listened to in each city, at each of its altitudes"""
 PLANNED = 0.3
 """share of surveys on paths as planners fly them"""
 CITIES_AT_ONCE = 4
@@ -235,18 +235,17 @@ def _fly_some(data: Path, split: str, predictor: OperatorPredictor, cities: list
 
 
 def _city_samples(links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator) -> list[_Sample]:
-    heard = np.flatnonzero((links.city == city) & links.available.any(axis=1))
-    altitude = int(rng.choice(np.flatnonzero(links.available[heard].any(axis=0))))
-    heard = heard[links.available[heard, altitude]]
-    row, col = links.corner(rng, SIDE)
     samples: list[_Sample] = []
-    scenario = None
-    for link in rng.permutation(heard)[:PER_CITY]:
-        view = links.view(int(link), altitude, row, col, SIDE)
-        if scenario is None:
-            city_map = City(Grid(view.height_m.shape, links.spacing_m), view.height_m)
-            scenario = Scenario(city_map, view.altitude_m, view.altitude_m)
-        samples += _survey_samples(scenario, view, predictor, rng)
+    for altitude in np.flatnonzero(links.available[links.city == city].any(axis=0)).tolist():
+        heard = np.flatnonzero((links.city == city) & links.available[:, altitude])
+        row, col = links.corner(rng, SIDE)
+        scenario = None
+        for link in rng.permutation(heard)[:PER_CITY]:
+            view = links.view(int(link), altitude, row, col, SIDE)
+            if scenario is None:
+                city_map = City(Grid(view.height_m.shape, links.spacing_m), view.height_m)
+                scenario = Scenario(city_map, view.altitude_m, view.altitude_m)
+            samples += _survey_samples(scenario, view, predictor, rng)
     return samples
 
 
@@ -267,7 +266,7 @@ def _survey_samples(scenario: Scenario, view: View, predictor: OperatorPredictor
 def _sample(belief: OperatorBelief, view: View, unvisited: NDArray[np.bool_]) -> _Sample:
     search = belief.search
     assert search is not None
-    inputs = judge_inputs(belief.terms, len(belief.cells), *search.standing())
+    inputs = judge_inputs(belief.terms, len(belief.cells), view.altitude_m, *search.standing())
     place = search.evidence.grid.position[search.chosen, :2] * belief.scenario.grid.spacing_m
     away = np.hypot(*(place - np.array(view.transmitter[:2]) * belief.scenario.grid.spacing_m).T)
     near = np.exp(-0.5 * (away**2 - away.min() ** 2) / NEAR_M**2) * ((away < AT_MOST_M) | (away == away.min()))

@@ -171,7 +171,7 @@ class OperatorBelief(Belief):
         judge = self.maps.network.judge
         if self.search is None or judge is None:
             return self
-        inputs = judge_inputs(self.terms, len(self.cells), *self.search.standing())
+        inputs = judge_inputs(self.terms, len(self.cells), self.scenario.uav_altitude_m, *self.search.standing())
         return replace(self, search=self.search.judged(judge.probability(inputs, self.settings.sharpen)))
 
     def updated(self, measurements: Measurements) -> OperatorBelief:
