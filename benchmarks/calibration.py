@@ -3,8 +3,8 @@
     python benchmarks/calibration.py DATA.zarr.zip --predictor operator --splits T2 --surveys 100 --powers 1,1.25,1.5
 
 flies surveys (three UAVs, cluster start, 10 m) by random waypoints and by sequential greedy, and evaluates every power and factor on the
-same beliefs at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 (the operator's judge learned from T3), by the mean negative
-log likelihood, which punishes too narrow and too wide alike; the table goes to benchmarks/results/calibration.md.
+same beliefs at 50, 100 and 200 steps over unvisited outdoor cells. Choose on T2 (the operator's judge learned from T3), by the mean
+negative log likelihood, which punishes too narrow and too wide alike; the table goes to benchmarks/results/calibration.md.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ The operator's map for a candidate misses every reading by something; a normal l
 have heavy tails, come street by street, and there are hundreds of them. The judge learned what they are worth. For every candidate it
 sees means over the readings of robust functions of the standardised error z = (y − m)/s, of the same whitened by the residual's
 correlation, and of the error in dB, all relative to the best candidate, beside the probability that the locator gives to what the
-candidate represents, how many readings there are and at what altitude, and answers with one number; the softmax over the candidates is their probability. The means are sums that grow with
-each reading, so an update costs next to nothing.
+candidate represents, the number of readings and their altitude, and answers with one number; the softmax over the candidates is their
+probability. The means are sums that grow with each reading, so an update costs next to nothing.
 """
 
 from __future__ import annotations
@@ -95,7 +95,12 @@ def error_terms(z: Array, whitened: Array, std_db: Array, gain_db: NDArray[np.fl
 
 
 def judge_inputs(
-    sums: Array, n: int, altitude_m: float, mass: NDArray[np.floating], squares: NDArray[np.integer], spread_m: NDArray[np.floating]
+    sums: Array,
+    n: int,
+    altitude_m: float,
+    mass: NDArray[np.floating],
+    squares: NDArray[np.integer],
+    spread_m: NDArray[np.floating],
 ) -> Array:
     """``[candidate, input]`` from the sums of `error_terms` over ``n`` readings at ``altitude_m``.
 

@@ -1,6 +1,6 @@
 """Training the judge of candidates (`candidate_judge`) on surveys of cities that the operator and the locator were not trained on.
 
-The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each of its altitudes: a window, its
+The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each altitude: a window, its
 transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or planned as in `trajectories.covering_paths`, and at
 three moments of each survey what the judge would see of every candidate, which candidates stand near the transmitter, and how the
 candidates' maps err together: with E[c] the error of candidate c's map over the unvisited outdoor cells, weights w make the mean
