@@ -1,10 +1,11 @@
 """Training the judge of candidates (`candidate_judge`) on surveys of cities that the operator and the locator were not trained on.
 
-The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each altitude: a window, its
-transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or planned as in `trajectories.covering_paths`, and at
-three moments of each survey what the judge would see of every candidate, which candidates stand near the transmitter, and how the
-candidates' maps err together: with E[c] the error of candidate c's map over the unvisited outdoor cells, weights w make the mean
-squared error wᵀ(EEᵀ/cells)w. The loss is the cross-entropy of the candidates near the transmitter plus a share of the root of that.
+The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each altitude (those of T2,
+which give the scores, at one of them): a window, its transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or
+planned as in `trajectories.covering_paths`, and at three moments of each survey what the judge would see of every candidate, which
+candidates stand near the transmitter, and how the candidates' maps err together: with E[c] the error of candidate c's map over the
+unvisited outdoor cells, weights w make the mean squared error wᵀ(EEᵀ/cells)w. The loss is the cross-entropy of the candidates near the
+transmitter plus a share of the root of that.
 """
 
 from __future__ import annotations
@@ -37,13 +38,15 @@ from skygain.learning.locator_task import survey_cells
 from skygain.learning.train import Result
 from skygain.learning.weights import runs_folder, weight_file
 from skygain.measurements import Measurements
-from skygain.predictors.operator import OperatorBelief, OperatorPredictor
+from skygain.predictors.operator import OperatorBelief, OperatorPredictor, OperatorSettings
 from skygain.scenario import Scenario
 from skygain.workers import process_pool
 
 SIDE = 96
-PER_CITY = 4
+PER_CITY = 3
 """transmitters listened to in each city, at each of its altitudes"""
+COARSE_M = 24.0
+"""spacing of the first candidates; that in use, 16 m, would make a sample of the pool four times as large"""
 PLANNED = 0.3
 """share of surveys on paths as planners fly them"""
 CITIES_AT_ONCE = 4
@@ -117,7 +120,7 @@ def train_judge(
         InputError: no such data set, or it lacks one of the two splits.
     """
     begun = time.monotonic()
-    predictor = OperatorPredictor(weights=operator, locator=locator, judge="")
+    predictor = OperatorPredictor(weights=operator, locator=locator, judge="", settings=OperatorSettings(coarse_m=COARSE_M))
     parts = {split: _flown(data, split, predictor, Path(pool) if str(pool) else None, workers, report) for split in ("T3", "T2")}
     training, held_out = parts["T3"], parts["T2"]
     torch.manual_seed(seed)
@@ -228,15 +231,19 @@ def _fly_some(data: Path, split: str, predictor: OperatorPredictor, cities: list
         for city in cities:
             # A stream of its own for every data set, so that two with the same cities fly different surveys.
             stream = [int.from_bytes(data.name.encode()[:8], "little"), ord(split[1]), city]
-            _write(files[city], _city_samples(links, city, predictor, np.random.default_rng(stream)))
+            _write(files[city], _city_samples(links, city, predictor, np.random.default_rng(stream), everywhere=split == "T3"))
     finally:
         torch.set_num_threads(threads)
     return len(cities)
 
 
-def _city_samples(links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator) -> list[_Sample]:
+def _city_samples(
+    links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator, *, everywhere: bool
+) -> list[_Sample]:
+    """Of every altitude that the city has maps at if ``everywhere``, else of one of them."""
     samples: list[_Sample] = []
-    for altitude in np.flatnonzero(links.available[links.city == city].any(axis=0)).tolist():
+    altitudes = np.flatnonzero(links.available[links.city == city].any(axis=0))
+    for altitude in altitudes.tolist() if everywhere else [int(rng.choice(altitudes))]:
         heard = np.flatnonzero((links.city == city) & links.available[:, altitude])
         row, col = links.corner(rng, SIDE)
         scenario = None

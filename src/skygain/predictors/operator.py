@@ -3,7 +3,7 @@
 Two networks say where the transmitter is. The path model (`skygain.learning.path_model`) predicts every reading from every square of an
 8 m grid over the map and 102 m around it; the sums of its errors are the input of the locator (`skygain.learning.locator_net`), which
 answers with the probability of every square. The propagation operator (`skygain.learning.operator_net`) is better and dear: its maps
-exist for a few hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
+exist for some thousand candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
 network, the judge (`skygain.learning.candidate_judge`), weighs the candidates by how their maps agree with the readings. With
 each update a candidate is added where that takes most of the probability closest to its representative.
 
@@ -44,6 +44,10 @@ READINGS_PER_MAP = 3
 """an update computes a new candidate's map for so many readings"""
 MAPS_AT_ONCE = 16
 """but never more than this"""
+FIRST_WORK = 14_000_000
+"""largest number of first candidates × cells of the map, for the sake of time and memory"""
+FIRST_ALWAYS = 300
+"""but so many are allowed on any map"""
 
 
 @dataclass(frozen=True)
@@ -58,10 +62,10 @@ class OperatorSettings:
     """standard deviation added per metre between a candidate and the squares it represents"""
     margin_m: float = 102.0
     """how far outside the map a transmitter may stand"""
-    coarse_m: float = 32.0
+    coarse_m: float = 16.0
     """spacing of the first candidates"""
-    at_most: int = 300
-    """largest number of first candidates; their spacing doubles until it holds"""
+    at_most: int = 1500
+    """largest number of first candidates; their spacing grows until it holds"""
     fine_m: float = 8.0
     """side of the squares whose probability is judged"""
     fine_at_most: int = 8000
@@ -110,7 +114,7 @@ class OperatorPredictor(Predictor):
                 fine_m=settings.fine_m,
                 fine_at_most=settings.fine_at_most,
                 coarse_m=settings.coarse_m,
-                at_most=settings.at_most,
+                at_most=min(settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // scenario.outdoor.size)),
                 height_z_m=maps.height_z_m,
             )
             indices = maps.indices(search.positions(search.chosen))
