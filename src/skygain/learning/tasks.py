@@ -85,7 +85,7 @@ class OperatorTask(GainTask):
 
     side: int = 96
     """cells along the edge of a training window"""
-    altitude_odds: tuple[float, float, float] = (3.0, 1.0, 1.0)
+    altitude_odds: tuple[float, float, float] = (2.0, 1.0, 1.0)
     """relative odds of drawing 10, 20 and 30 m"""
     profile: bool = True
     """whether the network sees the heights along the path; without, it has the map, distance and direction only"""
