@@ -34,7 +34,7 @@ def test_a_candidate_that_agrees_better_looks_better(readings):
     z, whitened, std = (np.repeat(a[:, :1], 2, axis=1) for a in (z, whitened, std))
     z[:, 1] *= 3
     whitened[:, 1] *= 3
-    inputs = judge_inputs(error_terms(z, whitened, std, gain), 40, 10.0, np.full(2, 0.5), np.full(2, 10), np.full(2, 8.0))
+    inputs = judge_inputs(error_terms(z, whitened, std, gain), 40, np.full(2, 0.5), np.full(2, 10), np.full(2, 8.0))
     assert inputs.shape == (2, INPUTS)
     assert (inputs[0, :17] == 0).all()
     assert (inputs[1, :17] < 0).all()
@@ -44,8 +44,8 @@ def test_candidates_are_judged_alike_in_any_order(readings, rng):
     order = rng.permutation(7)
     sums, mass = error_terms(*readings), rng.dirichlet(np.ones(7))
     squares, spread = rng.integers(1, 30, 7), rng.uniform(0, 20, 7)
-    plain = judge_inputs(sums, 40, 10.0, mass, squares, spread)
-    assert np.array_equal(plain[order], judge_inputs(sums[:, order], 40, 10.0, mass[order], squares[order], spread[order]))
+    plain = judge_inputs(sums, 40, mass, squares, spread)
+    assert np.array_equal(plain[order], judge_inputs(sums[:, order], 40, mass[order], squares[order], spread[order]))
 
 
 def test_numpy_and_pytorch_judge_alike(tmp_path, rng):

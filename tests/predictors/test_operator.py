@@ -68,9 +68,7 @@ def test_what_the_judge_sees_is_the_same_however_the_candidates_came(predictor, 
     _, z, std = belief._residuals(belief.candidates, belief.cells, belief.values, belief.noise_db2)
     assert np.allclose(belief.terms, error_terms(z, belief.whitened, std, belief.values), rtol=1e-3, atol=1e-2)
     judge = CandidateJudge.load(predictor.judge)
-    expected = judge.probability(
-        judge_inputs(belief.terms, 15, belief.scenario.uav_altitude_m, *belief.search.standing()), belief.settings.sharpen
-    )
+    expected = judge.probability(judge_inputs(belief.terms, 15, *belief.search.standing()), belief.settings.sharpen)
     assert np.allclose(belief.weights(), expected, atol=1e-6)
 
 

@@ -4,8 +4,8 @@ The operator's map for a candidate misses every reading by something; a normal l
 have heavy tails, come street by street, and there are hundreds of them. The judge learned what they are worth. For every candidate it
 sees means over the readings of robust functions of the standardised error z = (y − m)/s, of the same whitened by the residual's
 correlation, and of the error in dB, all relative to the best candidate, beside the probability that the locator gives to what the
-candidate represents, the number of readings and their altitude, and answers with one number; the softmax over the candidates is their
-probability. The means are sums that grow with each reading, so an update costs next to nothing.
+candidate represents, and answers with one number; the softmax over the candidates is their probability. The means are sums that grow with
+each reading, so an update costs next to nothing.
 """
 
 from __future__ import annotations
@@ -46,12 +46,10 @@ TERMS = (
     "weak",
 )
 """names of the sums, in order"""
-LOWEST_M, HIGHEST_M = 10.0, 30.0
-"""altitudes of the readings beyond which the judge takes them as this"""
 FEWEST, MOST = 3, 800
 """readings beyond which the judge takes their number as this"""
 QUALITIES = 23
-INPUTS = 2 * QUALITIES + 6
+INPUTS = 2 * QUALITIES + 5
 """numbers that the judge sees of each candidate"""
 
 
@@ -95,14 +93,9 @@ def error_terms(z: Array, whitened: Array, std_db: Array, gain_db: NDArray[np.fl
 
 
 def judge_inputs(
-    sums: Array,
-    n: int,
-    altitude_m: float,
-    mass: NDArray[np.floating],
-    squares: NDArray[np.integer],
-    spread_m: NDArray[np.floating],
+    sums: Array, n: int, mass: NDArray[np.floating], squares: NDArray[np.integer], spread_m: NDArray[np.floating]
 ) -> Array:
-    """``[candidate, input]`` from the sums of `error_terms` over ``n`` readings at ``altitude_m``.
+    """``[candidate, input]`` from the sums of `error_terms` over ``n`` readings.
 
     ``mass[candidate]`` is the locator's probability of what each represents, ``squares`` how many squares that is and ``spread_m`` their
     root mean squared distance.
@@ -128,8 +121,7 @@ def judge_inputs(
     quality = (quality - quality.max(axis=1, keepdims=True)).T
     many = math.log(min(max(n, FEWEST), MOST) / 100.0)
     located, prior = np.log(mass + 1e-6), np.log(squares + 1e-3)
-    level = (min(max(altitude_m, LOWEST_M), HIGHEST_M) - 20.0) / 10.0
-    rest = np.stack([located, located * many, prior, spread_m, np.full(len(mass), many), np.full(len(mass), level)], axis=1)
+    rest = np.stack([located, located * many, prior, spread_m, np.full(len(mass), many)], axis=1)
     return np.concatenate([quality, 0.5 * many * quality, rest], axis=1).astype(np.float32)
 
 

@@ -1,11 +1,10 @@
 """Training the judge of candidates (`candidate_judge`) on surveys of cities that the operator and the locator were not trained on.
 
-The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once at each altitude (those of T2,
-which give the scores, at one of them): a window, its transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or
-planned as in `trajectories.covering_paths`, and at three moments of each survey what the judge would see of every candidate, which
-candidates stand near the transmitter, and how the candidates' maps err together: with E[c] the error of candidate c's map over the
-unvisited outdoor cells, weights w make the mean squared error wᵀ(EEᵀ/cells)w. The loss is the cross-entropy of the candidates near the
-transmitter plus a share of the root of that.
+The second stage rests on the first, so it learns from the split T3, as policies do. Each city is flown once: a window, its
+transmitters, a path for each of random waypoints, lawnmower lines, scattered cells or planned as in `trajectories.covering_paths`, and at
+three moments of each survey what the judge would see of every candidate, which candidates stand near the transmitter, and how the
+candidates' maps err together: with E[c] the error of candidate c's map over the unvisited outdoor cells, weights w make the mean
+squared error wᵀ(EEᵀ/cells)w. The loss is the cross-entropy of the candidates near the transmitter plus a share of the root of that.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ from skygain.scenario import Scenario
 from skygain.workers import process_pool
 
 SIDE = 96
-PER_CITY = 3
-"""transmitters listened to in each city, at each of its altitudes"""
-COARSE_M = 24.0
-"""spacing of the first candidates; that in use, 16 m, would make a sample of the pool four times as large"""
+PER_CITY = 4
+"""transmitters listened to in each city"""
+COARSE_M = 32.0
+"""spacing of the first candidates in these surveys; wider than in use, so that the samples stay small"""
 PLANNED = 0.3
 """share of surveys on paths as planners fly them"""
 CITIES_AT_ONCE = 4
@@ -231,28 +230,25 @@ def _fly_some(data: Path, split: str, predictor: OperatorPredictor, cities: list
         for city in cities:
             # A stream of its own for every data set, so that two with the same cities fly different surveys.
             stream = [int.from_bytes(data.name.encode()[:8], "little"), ord(split[1]), city]
-            _write(files[city], _city_samples(links, city, predictor, np.random.default_rng(stream), everywhere=split == "T3"))
+            _write(files[city], _city_samples(links, city, predictor, np.random.default_rng(stream)))
     finally:
         torch.set_num_threads(threads)
     return len(cities)
 
 
-def _city_samples(
-    links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator, *, everywhere: bool
-) -> list[_Sample]:
-    """Of every altitude that the city has maps at if ``everywhere``, else of one of them."""
+def _city_samples(links: Links, city: int, predictor: OperatorPredictor, rng: np.random.Generator) -> list[_Sample]:
+    heard = np.flatnonzero((links.city == city) & links.available.any(axis=1))
+    altitude = int(rng.choice(np.flatnonzero(links.available[heard].any(axis=0))))
+    heard = heard[links.available[heard, altitude]]
+    row, col = links.corner(rng, SIDE)
     samples: list[_Sample] = []
-    altitudes = np.flatnonzero(links.available[links.city == city].any(axis=0))
-    for altitude in altitudes.tolist() if everywhere else [int(rng.choice(altitudes))]:
-        heard = np.flatnonzero((links.city == city) & links.available[:, altitude])
-        row, col = links.corner(rng, SIDE)
-        scenario = None
-        for link in rng.permutation(heard)[:PER_CITY]:
-            view = links.view(int(link), altitude, row, col, SIDE)
-            if scenario is None:
-                city_map = City(Grid(view.height_m.shape, links.spacing_m), view.height_m)
-                scenario = Scenario(city_map, view.altitude_m, view.altitude_m)
-            samples += _survey_samples(scenario, view, predictor, rng)
+    scenario = None
+    for link in rng.permutation(heard)[:PER_CITY]:
+        view = links.view(int(link), altitude, row, col, SIDE)
+        if scenario is None:
+            city_map = City(Grid(view.height_m.shape, links.spacing_m), view.height_m)
+            scenario = Scenario(city_map, view.altitude_m, view.altitude_m)
+        samples += _survey_samples(scenario, view, predictor, rng)
     return samples
 
 
@@ -273,7 +269,7 @@ def _survey_samples(scenario: Scenario, view: View, predictor: OperatorPredictor
 def _sample(belief: OperatorBelief, view: View, unvisited: NDArray[np.bool_]) -> _Sample:
     search = belief.search
     assert search is not None
-    inputs = judge_inputs(belief.terms, len(belief.cells), view.altitude_m, *search.standing())
+    inputs = judge_inputs(belief.terms, len(belief.cells), *search.standing())
     place = search.evidence.grid.position[search.chosen, :2] * belief.scenario.grid.spacing_m
     away = np.hypot(*(place - np.array(view.transmitter[:2]) * belief.scenario.grid.spacing_m).T)
     near = np.exp(-0.5 * (away**2 - away.min() ** 2) / NEAR_M**2) * ((away < AT_MOST_M) | (away == away.min()))

@@ -3,7 +3,7 @@
 Two networks say where the transmitter is. The path model (`skygain.learning.path_model`) predicts every reading from every square of an
 8 m grid over the map and 102 m around it; the sums of its errors are the input of the locator (`skygain.learning.locator_net`), which
 answers with the probability of every square. The propagation operator (`skygain.learning.operator_net`) is better and dear: its maps
-exist for some thousand candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
+exist for several hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
 network, the judge (`skygain.learning.candidate_judge`), weighs the candidates by how their maps agree with the readings. With
 each update a candidate is added where that takes most of the probability closest to its representative.
 
@@ -44,7 +44,7 @@ READINGS_PER_MAP = 3
 """an update computes a new candidate's map for so many readings"""
 MAPS_AT_ONCE = 16
 """but never more than this"""
-FIRST_WORK = 14_000_000
+FIRST_WORK = 8_000_000
 """largest number of first candidates × cells of the map, for the sake of time and memory"""
 FIRST_ALWAYS = 300
 """but so many are allowed on any map"""
@@ -62,9 +62,9 @@ class OperatorSettings:
     """standard deviation added per metre between a candidate and the squares it represents"""
     margin_m: float = 102.0
     """how far outside the map a transmitter may stand"""
-    coarse_m: float = 16.0
+    coarse_m: float = 24.0
     """spacing of the first candidates"""
-    at_most: int = 1500
+    at_most: int = 1000
     """largest number of first candidates; their spacing grows until it holds"""
     fine_m: float = 8.0
     """side of the squares whose probability is judged"""
@@ -76,8 +76,8 @@ class OperatorSettings:
     """power of the judge's probabilities (of the locator's where there is no judge)"""
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
-    variance_factor: float = 0.9
-    """calibration of the variance, see benchmarks/calibration.py; errors have heavy tails, so intervals want less than the mean square"""
+    variance_factor: float = 1.0
+    """calibration of the variance, see benchmarks/calibration.py"""
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class OperatorBelief(Belief):
         judge = self.maps.network.judge
         if self.search is None or judge is None:
             return self
-        inputs = judge_inputs(self.terms, len(self.cells), self.scenario.uav_altitude_m, *self.search.standing())
+        inputs = judge_inputs(self.terms, len(self.cells), *self.search.standing())
         return replace(self, search=self.search.judged(judge.probability(inputs, self.settings.sharpen)))
 
     def updated(self, measurements: Measurements) -> OperatorBelief:
