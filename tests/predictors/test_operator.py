@@ -13,6 +13,7 @@ from skygain.learning.locator_net import LocatorNet
 from skygain.learning.operator_net import PropagationOperator
 from skygain.learning.path_model import USED
 from skygain.measurements import Measurements
+from skygain.predictors import operator
 from skygain.predictors.operator import OperatorPredictor, OperatorSettings
 from skygain.predictors.residual_field import SMALLEST_VARIANCE, CorrelationModel, ResidualField
 from skygain.predictors.transmitter_search import TransmitterSearch
@@ -137,6 +138,16 @@ def test_the_first_candidates_are_no_more_than_allowed():
     scenario = example_scenario(transmitter=False)
     assert len(begun(scenario, coarse_m=8.0, at_most=20).chosen) <= 20
     assert len(begun(scenario, fine_at_most=200).probability) <= 200
+
+
+def test_large_maps_begin_with_fewer_candidates(predictor, monkeypatch):
+    scenario = example_scenario(transmitter=False)
+    many = replace(predictor, settings=replace(QUICK, at_most=1000, coarse_m=8.0))
+    monkeypatch.setattr(operator, "FIRST_ALWAYS", 12)
+    monkeypatch.setattr(operator, "FIRST_WORK", 40 * scenario.outdoor.size)
+    assert 12 < len(many.begin(scenario).candidates) <= 40
+    monkeypatch.setattr(operator, "FIRST_WORK", 1)
+    assert 1 < len(many.begin(scenario).candidates) <= 12
 
 
 def test_squares_and_candidates_stand_on_open_ground():
