@@ -3,8 +3,8 @@
 Two networks say where the transmitter is. The path model (`skygain.learning.path_model`) predicts every reading from every square of an
 8 m grid over the map and 102 m around it; the sums of its errors are the input of the locator (`skygain.learning.locator_net`), which
 answers with the probability of every square. The propagation operator (`skygain.learning.operator_net`) is better and dear: its maps
-exist for several hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A third
-network, the judge (`skygain.learning.candidate_judge`), weighs the candidates by how their maps agree with the readings. With
+exist for several hundred candidate positions, evenly spread at first, and every square is represented by the candidate nearest to it. A
+third network, the judge (`skygain.learning.candidate_judge`), weighs the candidates by how their maps agree with the readings. With
 each update a candidate is added where that takes most of the probability closest to its representative.
 
 The posterior is the mixture of the candidates' maps, each corrected by Kriging of its residual (`residual_field`), summarised by its first
