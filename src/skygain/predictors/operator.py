@@ -45,7 +45,7 @@ READINGS_PER_MAP = 3
 MAPS_AT_ONCE = 16
 """but never more than this"""
 FIRST_WORK = 8_000_000
-"""largest number of first candidates × cells of the map, for the sake of time and memory"""
+"""largest number of first candidates × cells of the map, which is what their maps cost in time and memory"""
 FIRST_ALWAYS = 300
 """but so many are allowed on any map"""
 
