@@ -1,11 +1,12 @@
-"""What one decision of the learned planners and of look-ahead costs, N = 3, in the middle of a survey.
+"""What one decision of the learned planners and of look-ahead costs, N = 3, in the middle of a
+survey.
 
     python benchmarks/decision_delay.py [--predictors kriging,operator] [--decisions 8]
 
-Flies 40 random steps in the sample city, then decides again and again from there. Wall time is what a pilot waits; CPU time is what it
-would be on an idle machine with one thread. A policy without trained weights is timed with random ones. The belief's maps are part of
-the time. Table and numbers go to
-benchmarks/results/decision_delay.*, beside those measured before.
+Flies 40 random steps in the sample city, then decides again and again from there. Wall time is what
+a pilot waits; CPU time is what it would be on an idle machine with one thread. A policy without
+trained weights is timed with random ones. The belief's maps are part of the time. Table and numbers
+go to benchmarks/results/decision_delay.*, beside those measured before.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from pathlib import Path
 import numpy as np
 
 from skygain.environments.worlds import LinkWorlds
-from skygain.errors import InputError
-from skygain.evaluation.methods import MethodSpec
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
 from skygain.planners import Planner, create_planner
-from skygain.swarm import Swarm
+from skygain.survey.methods import MethodSpec
 
 RESULTS = Path(__file__).parent / "results"
 RANDOM_POLICIES = {
@@ -43,15 +44,19 @@ def planner_of(name: str) -> Planner:
     """The planner, with random weights where none are trained."""
     if name not in RANDOM_POLICIES:
         return create_planner(name)
-    from skygain.learning.policy_weights import export_policy, load_policy
-    from skygain.learning.q_network import policy_network
+    from skygain.networks.policies.network import policy_network
+    from skygain.networks.policies.weights import export_policy, load_policy
 
     try:
         load_policy(name)
     except InputError:
         file = Path(tempfile.mkdtemp()) / "random.safetensors"
         shape = RANDOM_POLICIES[name]
-        export_policy(policy_network(shape).state_dict(), file, {"policy": {**shape, "v_min": -20.0, "v_max": 5.0}})
+        export_policy(
+            policy_network(shape).state_dict(),
+            file,
+            {"policy": {**shape, "v_min": -20.0, "v_max": 5.0}},
+        )
         return create_planner("dqn", weights=str(file))
     return create_planner("dqn", weights=name)
 
@@ -64,9 +69,17 @@ def delays_ms(predictor: str, planner: str, decisions: int) -> tuple[float, floa
     swarm = Swarm.deployed(scenario, world.start, 200)
     belief = method.build_predictor().begin(scenario)
     rng = np.random.default_rng(1)
-    for cells in create_planner("random-waypoint").plan(swarm, belief, 40, rng).paths.transpose(1, 0, 2):
-        belief = belief.updated(Measurements.at(cells, world.truth_db[cells[:, 0], cells[:, 1]].astype(float)))
-        swarm = swarm if swarm.steps_flown == 0 and (cells == swarm.cells).all() else swarm.advanced(cells)
+    for cells in (
+        create_planner("random-waypoint").plan(swarm, belief, 40, rng).paths.transpose(1, 0, 2)
+    ):
+        belief = belief.updated(
+            Measurements.at(cells, world.truth_db[cells[:, 0], cells[:, 1]].astype(float))
+        )
+        swarm = (
+            swarm
+            if swarm.steps_flown == 0 and (cells == swarm.cells).all()
+            else swarm.advanced(cells)
+        )
     chosen = planner_of(planner)
     chosen.plan(swarm, belief, 160, rng)  # compiles
     wall, cpu = [], []
@@ -87,7 +100,8 @@ def main() -> None:
     parser.add_argument("--planners", default="imitation,dqn,paper-dqn,lookahead,sequential-greedy")
     parser.add_argument("--decisions", type=int, default=8)
     options = parser.parse_args()
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, one thread"
+    python = platform.python_version()
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {python}, one thread"
     RESULTS.mkdir(exist_ok=True)
     file = RESULTS / "decision_delay.json"
     found = json.loads(file.read_text())["wall_cpu_ms"] if file.exists() else {}
@@ -95,7 +109,8 @@ def main() -> None:
         for planner in options.planners.split(","):
             found[f"{predictor} / {planner}"] = delays_ms(predictor, planner, options.decisions)
     table = [
-        f"Milliseconds per decision after 40 steps, N = 3, median of several; {machine}, shared with other work.",
+        f"Milliseconds per decision after 40 steps, N = 3, median of several; {machine}, shared "
+        "with other work.",
         "",
         "| predictor / planner | CPU | wall |",
         "|---|---|---|",

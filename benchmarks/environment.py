@@ -1,9 +1,11 @@
-"""Joint steps per second of the vectorised environment: 1 to 32 surveys together, with and without a predictor.
+"""Joint steps per second of the vectorised environment: 1 to 32 surveys together, with and without
+a predictor.
 
     python benchmarks/environment.py [--predictors none,idw,kriging,paper-unet] [--seconds 6]
 
-A joint step moves all UAVs of one survey once (N = 3, 96 × 96 cells, T = 200), takes their readings, asks the predictor for its maps and
-builds what every UAV observes. A network predictor without trained weights is timed with random ones. Table and numbers go to
+A joint step moves all UAVs of one survey once (N = 3, 96 × 96 cells, T = 200), takes their
+readings, asks the predictor for its maps and builds what every UAV observes. A network predictor
+without trained weights is timed with random ones. Table and numbers go to
 benchmarks/results/environment.*, beside those of predictors measured before.
 """
 
@@ -24,7 +26,7 @@ import numpy as np
 
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
 from skygain.environments.worlds import LinkWorlds
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.predictors import Predictor, create_predictor
 
 RESULTS = Path(__file__).parent / "results"
@@ -37,13 +39,13 @@ def predictor_of(name: str) -> Predictor | None:
         return None
     if name != "paper-unet":
         return create_predictor(name)
-    from skygain.learning.weights import find_weights
+    from skygain.networks.weights import find_weights
 
     try:
         find_weights(name)
     except InputError:
-        from skygain.learning.checkpoints import save_checkpoint
-        from skygain.learning.paper_unet_net import PaperUNets
+        from skygain.networks.checkpoints import save_checkpoint
+        from skygain.networks.unets.paper import PaperUNets
 
         file = Path(tempfile.mkdtemp()) / "random.safetensors"
         save_checkpoint(file, PaperUNets().state_dict(), {})
@@ -53,7 +55,9 @@ def predictor_of(name: str) -> Predictor | None:
 
 def joint_steps_per_second(name: str, lanes: int, seconds: float) -> float:
     """Measured over at least ``seconds`` after the first step."""
-    surveys = SurveyBatch(LinkWorlds(split="T1"), predictor_of(name), EnvironmentConfig(3, 200), lanes)
+    surveys = SurveyBatch(
+        LinkWorlds(split="T1"), predictor_of(name), EnvironmentConfig(3, 200), lanes
+    )
     rng = np.random.default_rng(0)
 
     def step() -> None:
@@ -79,20 +83,30 @@ def main() -> None:
     file = RESULTS / "environment.json"
     found = json.loads(file.read_text())["rates"] if file.exists() else {}
     for name in options.predictors.split(","):
-        found[name] = [round(joint_steps_per_second(name, lanes, options.seconds), 1) for lanes in LANES]
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, one thread"
+        found[name] = [
+            round(joint_steps_per_second(name, lanes, options.seconds), 1) for lanes in LANES
+        ]
+    python = platform.python_version()
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {python}, one thread"
     table = [
-        f"Joint steps per second (N = 3, 96 × 96 cells, T = 200; the first steps of a survey), {machine}.",
+        "Joint steps per second (N = 3, 96 × 96 cells, T = 200; the first steps of a survey), "
+        f"{machine}.",
         "",
-        "| predictor | " + " | ".join(f"{lanes} surveys" if lanes > 1 else "1 survey" for lanes in LANES) + " |",
+        "| predictor | "
+        + " | ".join(f"{lanes} surveys" if lanes > 1 else "1 survey" for lanes in LANES)
+        + " |",
         "|---" * (len(LANES) + 1) + "|",
         *(
-            f"| {name} | " + " | ".join(f"{rate:.0f}" if rate >= 20 else f"{rate:.1f}" for rate in rates) + " |"
+            f"| {name} | "
+            + " | ".join(f"{rate:.0f}" if rate >= 20 else f"{rate:.1f}" for rate in rates)
+            + " |"
             for name, rates in found.items()
         ),
     ]
     (RESULTS / "environment.md").write_text("\n".join(table) + "\n")
-    file.write_text(json.dumps({"machine": machine, "lanes": LANES, "rates": found}, indent=2) + "\n")
+    file.write_text(
+        json.dumps({"machine": machine, "lanes": LANES, "rates": found}, indent=2) + "\n"
+    )
     print("\n".join(table))
 
 

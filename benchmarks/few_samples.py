@@ -2,11 +2,13 @@
 
     python benchmarks/few_samples.py DATA.zarr.zip [--split T2] [--surveys 50]
 
-A covariance fitted to a handful of readings can be far off, and then Kriging is worse than a method that fits nothing. Three sets of
-readings are taken in every survey case: scattered over the outdoor cells, along random waypoints of three UAVs that start together,
-and of three that start anywhere; each at 12, 21 and 30 readings (3, 6 and 9 steps). Prints the mean RMSE over unvisited outdoor
-cells and the paired difference from IDW with its 95 % bootstrap interval over cities, and writes benchmarks/results/few_samples.md.
-The same question on measured data is in benchmarks/duke_cbrs.py.
+A covariance fitted to a handful of readings can be far off, and then Kriging is worse than a method
+that fits nothing. Three sets of
+readings are taken in every survey case: scattered over the outdoor cells, along random waypoints of
+three UAVs that start together, and of three that start anywhere; each at 12, 21 and 30 readings (3,
+6 and 9 steps). Prints the mean RMSE over unvisited outdoor cells and the paired difference from IDW
+with its 95 % bootstrap interval over cities, and writes benchmarks/results/few_samples.md. The same
+question on measured data is in benchmarks/duke_cbrs.py.
 """
 
 from __future__ import annotations
@@ -20,10 +22,10 @@ from skygain.datasets import ChannelDataset, survey_cases
 from skygain.datasets.cases import Case
 from skygain.evaluation.metrics import score
 from skygain.evaluation.statistics import bootstrap_mean
+from skygain.flight.swarm import Swarm
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
 from skygain.predictors import create_predictor
-from skygain.swarm import Swarm
 
 RIVAL = "idw"
 METHODS = ("kriging", "kriging-inferred", "kriging-blind", "kriging-quadratic", "local-kriging")
@@ -57,7 +59,9 @@ def errors(case: Case, cells: np.ndarray, method: str) -> list[float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data")
     parser.add_argument("--split", default="T2")
     parser.add_argument("--surveys", type=int, default=50)
@@ -70,7 +74,8 @@ def main() -> None:
     cities = [case.city_index for case in cluster]
     counts = [UAVS * (step + 1) for step in STEPS]
     lines = [
-        f"{len(cluster)} surveys in {len(set(cities))} cities of {options.split}. RMSE in dB over unvisited outdoor cells; brackets: "
+        f"{len(cluster)} surveys in {len(set(cities))} cities of {options.split}. RMSE in dB over "
+        "unvisited outdoor cells; brackets: "
         "paired difference from IDW, 95 % bootstrap interval over cities.",
         "",
         "| readings | method | " + " | ".join(f"{n}" for n in counts) + " |",
@@ -82,10 +87,16 @@ def main() -> None:
         ("random waypoints, spread start", spread, along),
     ):
         flown = [chosen(case) for case in cases]
-        rival = np.array([errors(case, cells, RIVAL) for case, cells in zip(cases, flown, strict=True)])
-        lines.append(f"| {name} | {RIVAL} | " + " | ".join(f"{v:.2f}" for v in rival.mean(axis=0)) + " |")
+        rival = np.array(
+            [errors(case, cells, RIVAL) for case, cells in zip(cases, flown, strict=True)]
+        )
+        lines.append(
+            f"| {name} | {RIVAL} | " + " | ".join(f"{v:.2f}" for v in rival.mean(axis=0)) + " |"
+        )
         for method in METHODS:
-            rmse = np.array([errors(case, cells, method) for case, cells in zip(cases, flown, strict=True)])
+            rmse = np.array(
+                [errors(case, cells, method) for case, cells in zip(cases, flown, strict=True)]
+            )
             columns = []
             for k in range(len(counts)):
                 gap = bootstrap_mean(rmse[:, k] - rival[:, k], cities)

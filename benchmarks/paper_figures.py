@@ -1,10 +1,13 @@
-"""The paper's figures on predictors: RMSE and goodness of fit by true gain, and RMSE against flown steps per altitude.
+"""The paper's figures on predictors: RMSE and goodness of fit by true gain, and RMSE against flown
+steps per altitude.
 
-    python benchmarks/paper_figures.py DATA.zarr.zip --predictors kriging,paper-unet,paper-unet-mapblind,operator --split T2 --surveys 25
+    python benchmarks/paper_figures.py DATA.zarr.zip --predictors
+    kriging,paper-unet,paper-unet-mapblind,operator --split T2 --surveys 25
 
-flies random waypoints (three UAVs, cluster start, 200 steps) with every predictor at every altitude the data set holds, pools the
-errors at the end over unvisited outdoor cells in bins of 10 dB of true gain, and draws both figures. Rollouts are kept in
-benchmarks/results/paper_figures.jsonl and continued; the figures are docs/images/gain_bins.png and docs/images/altitudes.png, the tables
+flies random waypoints (three UAVs, cluster start, 200 steps) with every predictor at every altitude
+the data set holds, pools the errors at the end over unvisited outdoor cells in bins of 10 dB of
+true gain, and draws both figures. Rollouts are kept in benchmarks/results/paper_figures.jsonl and
+continued; the figures are docs/images/gain_bins.png and docs/images/altitudes.png, the tables
 benchmarks/results/paper_figures.md.
 """
 
@@ -19,13 +22,13 @@ from typing import Any
 import numpy as np
 
 from skygain.datasets import ChannelDataset, survey_cases
-from skygain.errors import InputError
-from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.metrics import VARIANCE_FLOOR_DB2, gof
 from skygain.evaluation.rollout import Recorder
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.instruments.simulated import PerfectInstrument
-from skygain.survey import Survey
-from skygain.swarm import Swarm
+from skygain.survey.loop import Survey
+from skygain.survey.methods import MethodSpec
 
 STEPS = 200
 LOWEST_M = 10.0
@@ -41,9 +44,13 @@ def one(case: Any, name: str) -> dict[str, Any]:
     method = MethodSpec(name, "random-waypoint")
     predictor = method.build_predictor()
     scenario = method.visible(case.scenario(), predictor)
-    recorder = Recorder(frozenset(range(0, STEPS + 1, 25)), case.truth_db, case.ray_traced, keep_maps=True)
+    recorder = Recorder(
+        frozenset(range(0, STEPS + 1, 25)), case.truth_db, case.ray_traced, keep_maps=True
+    )
     swarm = Swarm.deployed(scenario, case.start_cells, STEPS)
-    Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db)).fly(swarm, case.rng(0), recorder)
+    Survey(scenario, predictor, method.build_planner(), PerfectInstrument(case.truth_db)).fly(
+        swarm, case.rng(0), recorder
+    )
     last = recorder.frames[-1]
     unseen = scenario.outdoor & np.isfinite(case.truth_db)
     unseen[last.paths[..., 0], last.paths[..., 1]] = False
@@ -51,8 +58,15 @@ def one(case: Any, name: str) -> dict[str, Any]:
     square = (last.mean_db[unseen] - truth) ** 2
     ratio = square / np.maximum(last.std_db[unseen].astype(float) ** 2, VARIANCE_FLOOR_DB2)
     index = np.digitize(truth, EDGES)
-    sums = [np.bincount(index, w, minlength=len(EDGES) + 1).tolist() for w in (np.ones_like(truth), square, ratio)]
-    return {"steps": [f.step for f in recorder.frames], "rmse_db": [f.scores["rmse_db"] for f in recorder.frames], "bins": sums}
+    sums = [
+        np.bincount(index, w, minlength=len(EDGES) + 1).tolist()
+        for w in (np.ones_like(truth), square, ratio)
+    ]
+    return {
+        "steps": [f.step for f in recorder.frames],
+        "rmse_db": [f.scores["rmse_db"] for f in recorder.frames],
+        "bins": sums,
+    }
 
 
 def fly(options: argparse.Namespace) -> Rows:
@@ -66,7 +80,9 @@ def fly(options: argparse.Namespace) -> Rows:
     rows: Rows = {}
     data = ChannelDataset.open(options.data)
     for altitude in options.altitudes:
-        cases = survey_cases(data, options.split, n_uavs=3, altitude_m=altitude, max_surveys=options.surveys)
+        cases = survey_cases(
+            data, options.split, n_uavs=3, altitude_m=altitude, max_surveys=options.surveys
+        )
         for number, case in enumerate(cases, 1):
             for name in options.predictors:
                 key = (name, altitude, options.split, case.link)
@@ -87,11 +103,17 @@ def fly(options: argparse.Namespace) -> Rows:
 
 
 def binned(rows: list[dict[str, Any]]) -> Iterator[tuple[float, float, float, float]]:
-    """(middle of the bin in dB, share of the cells, RMSE, goodness of fit) of bins with at least 0.2 % of the cells."""
+    """(middle of the bin in dB, share of the cells, RMSE, goodness of fit) of bins with at least
+    0.2 % of the cells."""
     count, square, ratio = np.sum([row["bins"] for row in rows], axis=0)
     for k in range(1, len(EDGES)):
         if count[k] >= 0.002 * count.sum():
-            yield EDGES[k] - 5.0, count[k] / count.sum(), float(np.sqrt(square[k] / count[k])), gof(ratio[k] / count[k])
+            yield (
+                EDGES[k] - 5.0,
+                count[k] / count.sum(),
+                float(np.sqrt(square[k] / count[k])),
+                gof(ratio[k] / count[k]),
+            )
 
 
 def draw(rows: Rows, options: argparse.Namespace) -> None:
@@ -108,19 +130,37 @@ def draw(rows: Rows, options: argparse.Namespace) -> None:
         middle, _, rmse, fit = zip(*binned(rows[name, lowest]), strict=True)
         left.plot(middle, rmse, marker="o", markersize=3, label=name)
         right.plot(middle, fit, marker="o", markersize=3, label=name)
-    left.set(xlabel="true gain, dB", ylabel="RMSE, dB", title=f"error by gain, {lowest:g} m, {STEPS} steps", ylim=(0, None))
-    right.set(xlabel="true gain, dB", ylabel="goodness of fit (0 is ideal)", title="above 0: too sure, below 0: too timid")
+    left.set(
+        xlabel="true gain, dB",
+        ylabel="RMSE, dB",
+        title=f"error by gain, {lowest:g} m, {STEPS} steps",
+        ylim=(0, None),
+    )
+    right.set(
+        xlabel="true gain, dB",
+        ylabel="goodness of fit (0 is ideal)",
+        title="above 0: too sure, below 0: too timid",
+    )
     right.axhline(0, color="0.6", linewidth=0.8)
     left.legend(fontsize=8)
     figure.savefig(images / "gain_bins.png", dpi=110)
     figure, axes = plt.subplots(
-        1, len(options.altitudes), figsize=(3.2 * len(options.altitudes), 3.2), sharey=True, layout="constrained", squeeze=False
+        1,
+        len(options.altitudes),
+        figsize=(3.2 * len(options.altitudes), 3.2),
+        sharey=True,
+        layout="constrained",
+        squeeze=False,
     )
     for axis, altitude in zip(axes[0], options.altitudes, strict=True):
         for name in options.predictors:
             rmse = np.mean([row["rmse_db"] for row in rows[name, altitude]], axis=0)
             axis.plot(rows[name, altitude][0]["steps"], rmse, label=name)
-        axis.set(xlabel="steps per UAV", title=f"{altitude:g} m ({len(rows[name, altitude])} surveys)", ylim=(0, 30))
+        axis.set(
+            xlabel="steps per UAV",
+            title=f"{altitude:g} m ({len(rows[name, altitude])} surveys)",
+            ylim=(0, 30),
+        )
     axes[0, 0].set_ylabel("RMSE over unvisited outdoor cells, dB")
     axes[0, 0].legend(fontsize=8)
     figure.savefig(images / "altitudes.png", dpi=110)
@@ -129,7 +169,8 @@ def draw(rows: Rows, options: argparse.Namespace) -> None:
 def markdown(rows: Rows, options: argparse.Namespace) -> str:
     """Both tables."""
     lines = [
-        f"{options.split}, random waypoints, 3 UAVs, cluster start. RMSE in dB over unvisited outdoor cells.",
+        f"{options.split}, random waypoints, 3 UAVs, cluster start. RMSE in dB over unvisited "
+        "outdoor cells.",
         "",
         "| predictor | altitude | surveys | T=0 | T=50 | T=100 | T=200 |",
         "|---|---|---|---|---|---|---|",
@@ -137,22 +178,48 @@ def markdown(rows: Rows, options: argparse.Namespace) -> str:
     for (name, altitude), found in rows.items():
         rmse = np.mean([row["rmse_db"] for row in found], axis=0)
         at = [rmse[found[0]["steps"].index(t)] for t in (0, 50, 100, 200)]
-        lines.append(f"| {name} | {altitude:g} m | {len(found)} | " + " | ".join(f"{v:.2f}" for v in at) + " |")
-    lines += ["", f"By true gain at {min(options.altitudes):g} m and T = {STEPS}: RMSE in dB / goodness of fit.", ""]
-    tables = {name: {m: (r, f) for m, _, r, f in binned(rows[name, min(options.altitudes)])} for name in options.predictors}
+        lines.append(
+            f"| {name} | {altitude:g} m | {len(found)} | "
+            + " | ".join(f"{v:.2f}" for v in at)
+            + " |"
+        )
+    lines += [
+        "",
+        f"By true gain at {min(options.altitudes):g} m and T = {STEPS}: RMSE in dB / goodness of "
+        "fit.",
+        "",
+    ]
+    tables = {
+        name: {m: (r, f) for m, _, r, f in binned(rows[name, min(options.altitudes)])}
+        for name in options.predictors
+    }
     share = {m: s for m, s, _, _ in binned(rows[options.predictors[0], min(options.altitudes)])}
-    lines += ["| gain, dB | share | " + " | ".join(tables) + " |", "|---|---|" + "---|" * len(tables)]
+    lines += [
+        "| gain, dB | share | " + " | ".join(tables) + " |",
+        "|---|---|" + "---|" * len(tables),
+    ]
     for middle, part in share.items():
-        cells = [f"{t[middle][0]:.1f} / {t[middle][1]:+.2f}" if middle in t else "–" for t in tables.values()]
-        lines.append(f"| {middle - 5:g} to {middle + 5:g} | {100 * part:.1f} % | " + " | ".join(cells) + " |")
+        cells = [
+            f"{t[middle][0]:.1f} / {t[middle][1]:+.2f}" if middle in t else "–"
+            for t in tables.values()
+        ]
+        lines.append(
+            f"| {middle - 5:g} to {middle + 5:g} | {100 * part:.1f} % | " + " | ".join(cells) + " |"
+        )
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data", type=Path)
-    parser.add_argument("--predictors", default="kriging,operator", type=lambda text: text.split(","))
-    parser.add_argument("--altitudes", default="10,20,30", type=lambda text: [float(a) for a in text.split(",")])
+    parser.add_argument(
+        "--predictors", default="kriging,operator", type=lambda text: text.split(",")
+    )
+    parser.add_argument(
+        "--altitudes", default="10,20,30", type=lambda text: [float(a) for a in text.split(",")]
+    )
     parser.add_argument("--split", default="T2")
     parser.add_argument("--surveys", default=25, type=int)
     options = parser.parse_args()

@@ -1,16 +1,19 @@
-"""Planners: speed of the exact joint planner and of sequential greedy, its quality against exhaustion, and its certificates.
+"""Planners: speed of the exact joint planner and of sequential greedy, its quality against
+exhaustion, and its certificates.
 
     python benchmarks/planning.py DATA.zarr.zip [--quick] [--only SECTION]
 
 measures
-1. entropy value iteration (P3) against the dense NumPy reference of `dense_value_iteration.py`, and at its own sizes;
+1. entropy value iteration (P3) against the dense NumPy reference of `dense_value_iteration.py`, and
+   at its own sizes;
 2. sequential greedy per decision at horizon 20 for 3, 10 and 50 UAVs;
 3. sequential greedy against exhaustive joint search, two UAVs, 100 random settings;
 4. certificates along surveys.
 
-Everything runs in one thread and is timed in CPU seconds after a warm-up call (compilation): what the wall clock shows on an idle
-machine, whatever else is running. DATA gives the cities (split T2).
-Tables and numbers go to benchmarks/results/planning.md and .json. ``--only`` measures one section again and keeps the others.
+Everything runs in one thread and is timed in CPU seconds after a warm-up call (compilation): what
+the wall clock shows on an idle machine, whatever else is running. DATA gives the cities (split T2).
+Tables and numbers go to benchmarks/results/planning.md and .json. ``--only`` measures one section
+again and keeps the others.
 """
 
 from __future__ import annotations
@@ -34,18 +37,18 @@ from numba import njit
 
 from skygain.city import City
 from skygain.datasets import ChannelDataset, survey_cases
+from skygain.fields.planning import planning_field
+from skygain.flight.starts import start_cells
+from skygain.flight.swarm import MOVES, Swarm
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
-from skygain.planners.certificate import information
-from skygain.planners.covariance import planning_field
-from skygain.planners.joint_paths import state_count
+from skygain.planners.search.certificate import information
+from skygain.planners.search.joint_paths import state_count
 from skygain.predictors import Belief
-from skygain.predictors.kriging import KrigingPredictor
-from skygain.predictors.kriging_parameters import KrigingParameters
+from skygain.predictors.kriging.known_source import KrigingPredictor
+from skygain.predictors.kriging.parameters import KrigingParameters
 from skygain.scenario import Scenario
-from skygain.starts import start_cells
-from skygain.swarm import MOVES, Swarm
 
 PARAMETERS = KrigingParameters.known_trend(27.0, 72.0, sill_db2=380.0, range_m=57.0)
 KRIGING = KrigingPredictor(parameters=PARAMETERS, refit=False)
@@ -54,12 +57,16 @@ RESULTS = Path(__file__).parent / "results"
 
 def setting(free: np.ndarray, cells: np.ndarray, steps: int) -> tuple[Swarm, Belief]:
     """UAVs at ``cells`` on a map with the given free cells, and what Kriging knows there."""
-    scenario = Scenario(City(Grid(free.shape, 4.0), np.where(free, 0, 30).astype(np.float32)), transmitter_m=(2.0, 2.0, 40.0))
+    scenario = Scenario(
+        City(Grid(free.shape, 4.0), np.where(free, 0, 30).astype(np.float32)),
+        transmitter_m=(2.0, 2.0, 40.0),
+    )
     return Swarm.deployed(scenario, cells, steps), measured(KRIGING.begin(scenario), cells)
 
 
 def measured(belief: Belief, cells: np.ndarray) -> Belief:
-    """The belief after readings at ``cells``; their values do not matter to the planners measured here."""
+    """The belief after readings at ``cells``; their values do not matter to the planners measured
+    here."""
     return belief.updated(Measurements.at(cells, -110.0 + 5 * np.sin(cells.sum(axis=-1))))
 
 
@@ -85,7 +92,9 @@ def value_iteration(quick: bool) -> list[dict[str, Any]]:
         row["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         if n == 2 and side <= (24 if quick else 40):
             began = time.process_time()
-            reference = dense_value(free, cells, horizon, PARAMETERS.sill_db2, PARAMETERS.range_m, 4.0)
+            reference = dense_value(
+                free, cells, horizon, PARAMETERS.sill_db2, PARAMETERS.range_m, 4.0
+            )
             row |= {"dense_seconds": time.process_time() - began, "dense_nats": reference}
             row["nats"] = path_entropy(plan.paths)
             assert abs(row["nats"] - reference) < 1e-3 * horizon, (row["nats"], reference)
@@ -101,12 +110,18 @@ def path_entropy(paths: np.ndarray) -> float:
     total = 0.0
     for t in range(paths.shape[1] - 1):
         old = np.unique(paths[:, t], axis=0)
-        new = np.array([c for c in np.unique(paths[:, t + 1], axis=0) if not (c == old).all(axis=1).any()])
+        new = np.array(
+            [c for c in np.unique(paths[:, t + 1], axis=0) if not (c == old).all(axis=1).any()]
+        )
         both = np.concatenate([old, new.reshape(-1, 2)])
 
         def log_det(cells: np.ndarray) -> float:
             gap = np.hypot(*(cells[:, None] - cells[None]).transpose(2, 0, 1)) * 4.0
-            return float(np.linalg.slogdet(2 * np.pi * np.e * PARAMETERS.sill_db2 * np.exp(-gap / PARAMETERS.range_m))[1])
+            return float(
+                np.linalg.slogdet(
+                    2 * np.pi * np.e * PARAMETERS.sill_db2 * np.exp(-gap / PARAMETERS.range_m)
+                )[1]
+            )
 
         total += 0.5 * (log_det(both) - log_det(old))
     return total
@@ -116,7 +131,10 @@ def tiled_city(data: str, repeats: int, rng: np.random.Generator) -> np.ndarray:
     """Free cells of a large map made of several Manhattan cities of the data set side by side."""
     dataset = ChannelDataset.open(data)
     links = dataset.links("T2")
-    tile = [[dataset.link(int(rng.choice(links))).city.height_m < 10.0 for _ in range(repeats)] for _ in range(repeats)]
+    tile = [
+        [dataset.link(int(rng.choice(links))).city.height_m < 10.0 for _ in range(repeats)]
+        for _ in range(repeats)
+    ]
     return np.block(tile)
 
 
@@ -124,7 +142,9 @@ def decisions(data: str, quick: bool) -> list[dict[str, Any]]:
     """Sequential greedy: seconds per decision at horizon 20."""
     rows = []
     for objective in ("variance", "entropy", "mutual-information"):
-        planner = create_planner("sequential-greedy", objective=objective, horizon=20, commit_steps=10)
+        planner = create_planner(
+            "sequential-greedy", objective=objective, horizon=20, commit_steps=10
+        )
         for n in (3, 10, 50):
             rng = np.random.default_rng(n)
             if n == 3:
@@ -148,8 +168,16 @@ def decisions(data: str, quick: bool) -> list[dict[str, Any]]:
                 for step in range(1, plan.commit_steps + 1):
                     swarm = swarm.advanced(plan.paths[:, step])
                 belief = measured(belief, plan.paths[:, 1 : plan.commit_steps + 1].reshape(-1, 2))
-            row = {"objective": objective, "uavs": n, "shape": scenario.grid.shape, "decisions": len(seconds)}
-            row |= {"median_s": float(np.median(seconds)), "p95_s": float(np.quantile(seconds, 0.95))}
+            row = {
+                "objective": objective,
+                "uavs": n,
+                "shape": scenario.grid.shape,
+                "decisions": len(seconds),
+            }
+            row |= {
+                "median_s": float(np.median(seconds)),
+                "p95_s": float(np.quantile(seconds, 0.95)),
+            }
             rows.append(row)
             print(row, flush=True)
     return rows
@@ -157,7 +185,8 @@ def decisions(data: str, quick: bool) -> list[dict[str, Any]]:
 
 @njit(cache=True)
 def _exhausted(first, second, among, noise):
-    """Best and mean information over all pairs of legal paths ``[path, step]`` (cell numbers), as (best, mean, pairs)."""
+    """Best and mean information over all pairs of legal paths ``[path, step]`` (cell numbers), as
+    (best, mean, pairs)."""
     steps = first.shape[1] - 1
     factor = np.zeros((2 * steps, 2 * steps))
     cells = np.empty(2 * steps, dtype=np.int64)
@@ -165,7 +194,9 @@ def _exhausted(first, second, among, noise):
     for p in range(len(first)):
         settled, settled_value = 0, 0.0
         for t in range(1, steps + 1):
-            settled, settled_value = _appended(first[p, t], cells, settled, settled_value, factor, among, noise)
+            settled, settled_value = _appended(
+                first[p, t], cells, settled, settled_value, factor, among, noise
+            )
         for q in range(len(second)):
             clash = False
             for t in range(1, steps + 1):
@@ -216,7 +247,8 @@ def all_paths(swarm: Swarm, uav: int, steps: int, number: np.ndarray) -> np.ndar
 
 
 def exhaustion(quick: bool) -> dict[str, Any]:
-    """(F − F_random)/(F_optimal − F_random) of sequential greedy, entropy objective, two UAVs, horizon 5, random settings."""
+    """(F − F_random)/(F_optimal − F_random) of sequential greedy, entropy objective, two UAVs,
+    horizon 5, random settings."""
     shares, ratios, sound = [], [], True
     planner = create_planner("sequential-greedy", objective="entropy")
     for trial in range(25 if quick else 125):
@@ -236,7 +268,9 @@ def exhaustion(quick: bool) -> dict[str, Any]:
         first, second = (all_paths(swarm, uav, 5, number) for uav in range(2))
         if not (len(first) and len(second)):  # walled in
             continue
-        best, mean, pairs = _exhausted(first, second, source.covariance(everything, everything), 1.0)
+        best, mean, pairs = _exhausted(
+            first, second, source.covariance(everything, everything), 1.0
+        )
         if pairs == 0:
             continue
         plan = planner.plan(swarm, belief, 5, rng)
@@ -245,8 +279,16 @@ def exhaustion(quick: bool) -> dict[str, Any]:
         sound &= best <= plan.certificate.upper_bound_nats + 1e-9 and value <= best + 1e-6
         shares.append((value - mean) / (best - mean) if best > mean else 1.0)
         ratios.append(value / best)
-    found = {"cases": len(shares), "mean_share": float(np.mean(shares)), "worst_share": float(np.min(shares))}
-    found |= {"mean_ratio": float(np.mean(ratios)), "worst_ratio": float(np.min(ratios)), "certificates_hold": bool(sound)}
+    found = {
+        "cases": len(shares),
+        "mean_share": float(np.mean(shares)),
+        "worst_share": float(np.min(shares)),
+    }
+    found |= {
+        "mean_ratio": float(np.mean(ratios)),
+        "worst_ratio": float(np.min(ratios)),
+        "certificates_hold": bool(sound),
+    }
     print(found, flush=True)
     return found
 
@@ -255,9 +297,13 @@ def certificates(data: str, quick: bool) -> list[dict[str, Any]]:
     """Certificates of the entropy objective along surveys of T2."""
     rows = []
     for horizon in (10, 20, 40):
-        planner = create_planner("sequential-greedy", objective="entropy", horizon=horizon, commit_steps=horizon)
+        planner = create_planner(
+            "sequential-greedy", objective="entropy", horizon=horizon, commit_steps=horizon
+        )
         found = []
-        for case in survey_cases(ChannelDataset.open(data), "T2", n_uavs=3, max_surveys=3 if quick else 10):
+        for case in survey_cases(
+            ChannelDataset.open(data), "T2", n_uavs=3, max_surveys=3 if quick else 10
+        ):
             swarm = Swarm.deployed(case.scenario(), case.start_cells, 80)
             belief = measured(KRIGING.begin(case.scenario()), case.start_cells)
             rng = case.rng()
@@ -270,7 +316,14 @@ def certificates(data: str, quick: bool) -> list[dict[str, Any]]:
                     swarm = swarm.advanced(plan.paths[:, step])
                 belief = measured(belief, plan.paths[:, 1:].reshape(-1, 2))
         gap, ratio, share, value = np.median(np.array(found), axis=0)
-        row = {"horizon": horizon, "plans": len(found), "value_nats": value, "gap_nats": gap, "ratio": ratio, "share": share}
+        row = {
+            "horizon": horizon,
+            "plans": len(found),
+            "value_nats": value,
+            "gap_nats": gap,
+            "ratio": ratio,
+            "share": share,
+        }
         rows.append({k: float(v) for k, v in row.items()})
         print(rows[-1], flush=True)
     return rows
@@ -284,32 +337,73 @@ def table(rows: list[list[str]]) -> str:
 
 def report(found: dict[str, Any]) -> str:
     """The tables."""
-    p3 = [["UAVs", "map", "horizon", "CPU s", "transitions", "transitions/s", "dense NumPy, CPU s", "times faster"]]
+    p3 = [
+        [
+            "UAVs",
+            "map",
+            "horizon",
+            "CPU s",
+            "transitions",
+            "transitions/s",
+            "dense NumPy, CPU s",
+            "times faster",
+        ]
+    ]
     for r in found["value_iteration"]:
         dense = r.get("dense_seconds")
-        numbers = [f"{r['seconds']:.2f}", f"{r['transitions']:.1e}", f"{r['transitions_per_s']:.1e}"]
+        numbers = [
+            f"{r['seconds']:.2f}",
+            f"{r['transitions']:.1e}",
+            f"{r['transitions_per_s']:.1e}",
+        ]
         against = [f"{dense:.1f}", f"{dense / r['seconds']:.0f}"] if dense else ["–", "–"]
         p3.append([str(r["uavs"]), f"{r['side']}²", str(r["horizon"]), *numbers, *against])
     speed = [["objective", "UAVs", "map", "decisions", "median, CPU s", "95 %, CPU s"]]
     for r in found["decisions"]:
         shape = f"{r['shape'][0]} × {r['shape'][1]}"
-        speed.append([r["objective"], str(r["uavs"]), shape, str(r["decisions"]), f"{r['median_s']:.3f}", f"{r['p95_s']:.3f}"])
+        speed.append(
+            [
+                r["objective"],
+                str(r["uavs"]),
+                shape,
+                str(r["decisions"]),
+                f"{r['median_s']:.3f}",
+                f"{r['p95_s']:.3f}",
+            ]
+        )
     e = found["exhaustion"]
-    proofs = [["horizon", "plans", "F, nats", "gap, nats", "F / bound", "share of the way from random to the bound"]]
+    proofs = [
+        [
+            "horizon",
+            "plans",
+            "F, nats",
+            "gap, nats",
+            "F / bound",
+            "share of the way from random to the bound",
+        ]
+    ]
     for r in found["certificates"]:
-        numbers = [f"{r['value_nats']:.1f}", f"{r['gap_nats']:.1f}", f"{r['ratio']:.3f}", f"{r['share']:.3f}"]
+        numbers = [
+            f"{r['value_nats']:.1f}",
+            f"{r['gap_nats']:.1f}",
+            f"{r['ratio']:.3f}",
+            f"{r['share']:.3f}",
+        ]
         proofs.append([f"{r['horizon']:.0f}", f"{r['plans']:.0f}", *numbers])
     peak = max(r["peak_gib"] for r in found["value_iteration"])
     return "\n\n".join(
         [
             f"Machine: {found['machine']}.",
-            f"## Entropy value iteration (P3)\n\nOpen terrain, peak memory of the process {peak:.1f} GiB.",
+            "## Entropy value iteration (P3)\n\nOpen terrain, peak memory of the process "
+            f"{peak:.1f} GiB.",
             table(p3),
             "## Sequential greedy, CPU seconds per decision, horizon 20",
             table(speed),
             "## Sequential greedy against exhaustive joint search",
-            f"Two UAVs, horizon 5, {e['cases']} random settings: (F − F_random)/(F_optimal − F_random) is {e['mean_share']:.4f} on "
-            f"average and {e['worst_share']:.4f} at worst; F/F_optimal {e['mean_ratio']:.4f} and {e['worst_ratio']:.4f}. "
+            f"Two UAVs, horizon 5, {e['cases']} random settings: (F − F_random)/(F_optimal − "
+            f"F_random) is {e['mean_share']:.4f} on "
+            f"average and {e['worst_share']:.4f} at worst; F/F_optimal {e['mean_ratio']:.4f} and "
+            f"{e['worst_ratio']:.4f}. "
             f"All certificates {'hold' if e['certificates_hold'] else 'DO NOT HOLD'}.",
             "## Certificates, medians along surveys of three UAVs",
             table(proofs),
@@ -318,7 +412,9 @@ def report(found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data")
     parser.add_argument("--quick", action="store_true", help="smaller sizes, to see that it runs")
     sections: dict[str, Callable[[], Any]] = {
@@ -331,7 +427,9 @@ def main() -> None:
     options = parser.parse_args()
     file = RESULTS / "planning.json"
     found = json.loads(file.read_text()) if options.only and file.exists() else {}
-    found["machine"] = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    found["machine"] = (
+        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    )
     for name in [options.only] if options.only else sections:
         found[name] = sections[name]()
         if not options.quick:

@@ -1,10 +1,12 @@
-"""Predictors in kinds of city they were not trained on: windows of Munich and Paris (Etoile), 4 m cells, traced by our own simulator.
+"""Predictors in kinds of city they were not trained on: windows of Munich and Paris (Etoile), 4 m
+cells, traced by our own simulator.
 
     python benchmarks/unseen_cities.py --predictors kriging,operator,operator+tx --windows 10
 
-cuts windows of 96 × 96 cells out of Sionna RT's scenes ``munich`` and ``etoile``, puts one transmitter at 1.5 m on open ground of each,
-up to 102 m outside the window, traces the gain at 10 m over window and surroundings, and flies three UAVs by random waypoints (cluster
-start, 200 steps). No network is trained again. Traced windows are kept in the user's cache; the table goes to
+cuts windows of 96 × 96 cells out of Sionna RT's scenes ``munich`` and ``etoile``, puts one
+transmitter at 1.5 m on open ground of each, up to 102 m outside the window, traces the gain at 10 m
+over window and surroundings, and flies three UAVs by random waypoints (cluster start, 200 steps).
+No network is trained again. Traced windows are kept in the user's cache; the table goes to
 benchmarks/results/unseen_cities.md.
 """
 
@@ -20,16 +22,16 @@ import numpy as np
 
 from skygain.cities.scenes import scene_city
 from skygain.city import City
-from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.rollout import Recorder
+from skygain.flight.starts import start_cells
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
 from skygain.instruments.simulated import PerfectInstrument
-from skygain.learning.weights import runs_folder
+from skygain.networks.weights import runs_folder
 from skygain.propagation.truth import trace_truth
 from skygain.scenario import Scenario
-from skygain.starts import start_cells
-from skygain.survey import Survey
-from skygain.swarm import Swarm
+from skygain.survey.loop import Survey
+from skygain.survey.methods import MethodSpec
 
 SCENES = ("munich", "etoile")
 SIDE, MARGIN, SPACING_M, ALTITUDE_M = 96, 26, 4.0, 10.0
@@ -51,7 +53,9 @@ def window(scene: str, number: int, samples: int) -> dict[str, Any]:
     while True:
         row, col = (int(rng.integers(n - wide + 1)) for n in whole.grid.shape)
         height = np.ascontiguousarray(whole.height_m[row : row + wide, col : col + wide])
-        if (height[inner] < ALTITUDE_M).mean() >= OPEN_SHARE and (height[inner] >= ALTITUDE_M).mean() >= 0.1:
+        if (height[inner] < ALTITUDE_M).mean() >= OPEN_SHARE and (
+            height[inner] >= ALTITUDE_M
+        ).mean() >= 0.1:
             break
     city = City(Grid((wide, wide), SPACING_M), height, name=scene)
     open_cells = np.argwhere(height <= 0)
@@ -82,19 +86,26 @@ def fly(found: dict[str, Any], name: str) -> dict[str, list[float]]:
     scenario = method.visible(scenario, predictor)
     recorder = Recorder(frozenset(STEPS), found["gain_db"], found["ray_traced"])
     swarm = Swarm.deployed(scenario, cells, STEPS[-1])
-    Survey(scenario, predictor, method.build_planner(), PerfectInstrument(found["gain_db"])).fly(swarm, rng, recorder)
+    Survey(scenario, predictor, method.build_planner(), PerfectInstrument(found["gain_db"])).fly(
+        swarm, rng, recorder
+    )
     keys = ("rmse_db", "rmse_ray_traced_db", "gof", "coverage90")
     return {key: [frame.scores[key] for frame in recorder.frames] for key in keys}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--predictors", default="kriging,operator,operator+tx", type=lambda text: text.split(","))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--predictors", default="kriging,operator,operator+tx", type=lambda text: text.split(",")
+    )
     parser.add_argument("--windows", default=10, type=int, help="per scene")
     parser.add_argument("--samples", default=10_000_000, type=int, help="rays per transmitter")
     options = parser.parse_args()
     lines = [
-        f"{options.windows} windows of each scene, 96 × 96 cells of 4 m at 10 m, {options.samples / 1e6:g} M rays, random waypoints, "
+        f"{options.windows} windows of each scene, 96 × 96 cells of 4 m at 10 m, "
+        f"{options.samples / 1e6:g} M rays, random waypoints, "
         "3 UAVs, cluster start; RMSE in dB over unvisited outdoor cells, mean over windows.",
         "",
         "| scene | predictor | T=0 | T=50 | T=100 | T=200 | ray-traced, T=200 | GoF | 90 % cover |",
@@ -105,9 +116,17 @@ def main() -> None:
         for number in range(options.windows):
             found = window(scene, number, options.samples)
             for name in options.predictors:
-                rows.append({"scene": scene, "window": number, "predictor": name, **fly(found, name)})
+                rows.append(
+                    {"scene": scene, "window": number, "predictor": name, **fly(found, name)}
+                )
             print(
-                scene, number, *(f"{r['predictor']} {r['rmse_db'][-1]:.1f}" for r in rows[-len(options.predictors) :]), flush=True
+                scene,
+                number,
+                *(
+                    f"{r['predictor']} {r['rmse_db'][-1]:.1f}"
+                    for r in rows[-len(options.predictors) :]
+                ),
+                flush=True,
             )
         for name in options.predictors:
             chosen = [r for r in rows if r["scene"] == scene and r["predictor"] == name]

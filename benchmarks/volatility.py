@@ -1,10 +1,12 @@
-"""Squared error of Kriging over its own variance, by the gain it predicts: the table in `skygain.planners.volatility`.
+"""Squared error of Kriging over its own variance, by the gain it predicts: the table in
+`skygain.planners.search.volatility`.
 
     python benchmarks/volatility.py DATA.zarr.zip [--surveys 40]
 
-flies random waypoints and lawnmowers over training cities (split T1) and pools the unvisited outdoor cells at 40, 100 and 200
-steps. Prints the ratio per bin of predicted gain, with the share of the log score a weight by it would win on other cities, and
-writes benchmarks/results/volatility.md.
+flies random waypoints and lawnmowers over training cities (split T1) and pools the unvisited
+outdoor cells at 40, 100 and 200 steps. Prints the ratio per bin of predicted gain, with the share
+of the log score a weight by it would win on other cities, and writes
+benchmarks/results/volatility.md.
 """
 
 from __future__ import annotations
@@ -15,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from skygain.datasets import ChannelDataset, survey_cases
+from skygain.flight.swarm import Swarm
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
 from skygain.predictors import create_predictor
-from skygain.swarm import Swarm
 
 STEPS = (40, 100, 200)
 BINS = 12
@@ -33,13 +35,25 @@ def samples(data: str, surveys: int) -> tuple[np.ndarray, np.ndarray]:
         swarm = Swarm.deployed(scenario, case.start_cells, STEPS[-1])
         for name in ("random-waypoint", "lawnmower"):
             for steps in STEPS:
-                cells = create_planner(name).plan(swarm, None, steps, case.rng()).paths.transpose(1, 0, 2).reshape(-1, 2)
-                belief = predictor.begin(scenario).updated(Measurements.at(cells, truth[tuple(cells.T)]))
+                cells = (
+                    create_planner(name)
+                    .plan(swarm, None, steps, case.rng())
+                    .paths.transpose(1, 0, 2)
+                    .reshape(-1, 2)
+                )
+                belief = predictor.begin(scenario).updated(
+                    Measurements.at(cells, truth[tuple(cells.T)])
+                )
                 posterior, wanted = belief.posterior(), scenario.outdoor.copy()
                 wanted[tuple(cells.T)] = False
                 error = truth[wanted] - posterior.mean_db[wanted]
                 some = slice(None, None, 7)
-                rows.append(np.stack([posterior.mean_db[wanted], error**2, posterior.variance_db2[wanted]], axis=1)[some])
+                rows.append(
+                    np.stack(
+                        [posterior.mean_db[wanted], error**2, posterior.variance_db2[wanted]],
+                        axis=1,
+                    )[some]
+                )
                 cities.append(np.full(len(rows[-1]), case.city_index))
     return np.concatenate(rows), np.concatenate(cities)
 
@@ -54,7 +68,9 @@ def fitted(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data")
     parser.add_argument("--surveys", type=int, default=40)
     options = parser.parse_args()
@@ -70,11 +86,20 @@ def main() -> None:
 
     won = score(flat) - score(scale)
     middle, ratio = fitted(rows)
-    lines = [f"{options.surveys} training surveys, random waypoints and lawnmower, {', '.join(map(str, STEPS))} steps.", ""]
+    lines = [
+        f"{options.surveys} training surveys, random waypoints and lawnmower, "
+        f"{', '.join(map(str, STEPS))} steps.",
+        "",
+    ]
     lines += ["| predicted gain, dB | squared error / variance |", "|---|---|"]
     lines += [f"| {m:.1f} | {r:.2f} |" for m, r in zip(middle, ratio, strict=True)]
-    text = "\n".join(lines) + f"\n\nOn held-out cities the scaled variance wins {won:.3f} nats per cell over a constant factor.\n"
-    (Path(__file__).parent / "results" / "volatility.md").write_text(f"# Volatility by predicted gain\n\n{text}")
+    text = "\n".join(lines) + (
+        f"\n\nOn held-out cities the scaled variance wins {won:.3f} nats per cell over a constant "
+        "factor.\n"
+    )
+    (Path(__file__).parent / "results" / "volatility.md").write_text(
+        f"# Volatility by predicted gain\n\n{text}"
+    )
     print(text)
 
 

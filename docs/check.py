@@ -1,4 +1,5 @@
-"""Check the documentation: every ``>>>`` example gives what it says, every relative link leads somewhere, every example script runs."""
+"""Check the documentation: every ``>>>`` example gives what it says, every relative link leads
+somewhere, every example script runs."""
 
 from __future__ import annotations
 
@@ -23,11 +24,20 @@ def main() -> int:
             if not (page.parent / target).exists():
                 print(f"{page.relative_to(ROOT)}: the link {target} leads nowhere")
                 failures += 1
-        result = doctest.testfile(str(page), module_relative=False, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+        result = doctest.testfile(
+            str(page),
+            module_relative=False,
+            optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE,
+        )
         failures += result.failed
     for script in sorted((ROOT / "examples").glob("[0-9]*.py")):
         with tempfile.TemporaryDirectory() as folder:
-            run = subprocess.run([sys.executable, str(script)], cwd=folder, env={**os.environ, "MPLBACKEND": "Agg"}, check=False)
+            run = subprocess.run(
+                [sys.executable, str(script)],
+                cwd=folder,
+                env={**os.environ, "MPLBACKEND": "Agg"},
+                check=False,
+            )
         failures += run.returncode != 0
         print(f"{script.relative_to(ROOT)}: {'failed' if run.returncode else 'ran'}")
     print(f"{len(pages)} pages checked, {failures} failed")

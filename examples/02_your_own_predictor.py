@@ -1,4 +1,5 @@
-"""A predictor of your own: two methods, a public conformance check, and it flies with every planner."""
+"""A predictor of your own: two methods, a public conformance check, and it flies with every
+planner."""
 
 from __future__ import annotations
 
@@ -26,7 +27,9 @@ class MeanBelief(Belief):
     def posterior(self) -> Posterior:
         rows, cols = self.measurements.cell.T
         measured = np.full(self.scenario.grid.shape, np.nan)
-        measured[rows, cols] = self.measurements.gain_db  # a cell counts once, however often it was visited
+        measured[rows, cols] = (
+            self.measurements.gain_db
+        )  # a cell counts once, however often it was visited
         seen = measured[np.isfinite(measured)]
         mean = np.where(np.isfinite(measured), measured, seen.mean() if len(seen) else -130.0)
         variance = np.full(mean.shape, seen.var() + 1.0 if len(seen) > 1 else 900.0)

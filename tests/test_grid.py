@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 grids = st.builds(
     Grid,
@@ -37,7 +37,13 @@ def test_flat_index_matches_raveled_order(grid: Grid) -> None:
 
 def test_contains_is_false_just_outside() -> None:
     grid = Grid((3, 4), 4.0)
-    assert grid.contains([(0, 0), (2, 3), (3, 0), (0, 4), (-1, 0)]).tolist() == [True, True, False, False, False]
+    assert grid.contains([(0, 0), (2, 3), (3, 0), (0, 4), (-1, 0)]).tolist() == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_crop_keeps_coordinates() -> None:

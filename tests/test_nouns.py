@@ -10,11 +10,11 @@ import pytest
 from scipy import stats
 
 from skygain.city import Building, City
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
+from skygain.ground.registry import Registry
 from skygain.measurements import Measurements
 from skygain.posterior import GaussianProcessPosterior, Posterior
-from skygain.registry import Registry
 from skygain.scenario import Scenario
 
 
@@ -77,7 +77,9 @@ def test_transmitter_may_stand_on_a_roof_or_off_the_map() -> None:
 
 def test_measurements_only_grow() -> None:
     first = Measurements.at([(0, 1)], [-90.0])
-    both = first.extended(Measurements.at([(2, 2), (0, 1)], [-95.0, -91.0], noise_std_db=[1.0, 2.0], uav=[0, 1]))
+    both = first.extended(
+        Measurements.at([(2, 2), (0, 1)], [-95.0, -91.0], noise_std_db=[1.0, 2.0], uav=[0, 1])
+    )
     assert len(first) == 1
     assert both.gain_db.tolist() == [-90.0, -95.0, -91.0]
     assert both.visited((3, 3)).sum() == 2
@@ -86,7 +88,13 @@ def test_measurements_only_grow() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [{"gain_db": [np.nan]}, {"gain_db": [np.inf]}, {"noise_std_db": -1.0}, {"cell": [(0, 0), (1, 1)]}]
+    "bad",
+    [
+        {"gain_db": [np.nan]},
+        {"gain_db": [np.inf]},
+        {"noise_std_db": -1.0},
+        {"cell": [(0, 0), (1, 1)]},
+    ],
 )
 def test_measurements_refuse_bad_columns(bad: dict) -> None:
     columns = {"cell": [(0, 0)], "gain_db": [-90.0]} | bad
@@ -111,7 +119,9 @@ def test_joint_posterior_entropy_and_samples_agree_with_scipy(rng: np.random.Gen
     def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return sigma[np.ix_(a @ (3, 1), b @ (3, 1))]
 
-    posterior = GaussianProcessPosterior(rng.normal(size=(2, 3)), np.diag(sigma).reshape(2, 3), covariance)
+    posterior = GaussianProcessPosterior(
+        rng.normal(size=(2, 3)), np.diag(sigma).reshape(2, 3), covariance
+    )
     cells = np.array([(0, 1), (1, 0), (1, 2)])
     block = covariance(cells, cells)
     assert np.isclose(posterior.entropy(cells), stats.multivariate_normal(cov=block).entropy())
@@ -122,19 +132,35 @@ def test_joint_posterior_entropy_and_samples_agree_with_scipy(rng: np.random.Gen
 def test_registry_names_what_it_knows() -> None:
     registry: Registry[object] = Registry("planner")
     registry.register("lawnmower", object)
-    with pytest.raises(InputError, match=r"unknown planner 'lawnmover'; did you mean 'lawnmower'\? known: lawnmower"):
+    with pytest.raises(
+        InputError,
+        match=r"unknown planner 'lawnmover'; did you mean 'lawnmower'\? known: lawnmower",
+    ):
         registry.create("lawnmover")
     with pytest.raises(ValueError, match="already"):
         registry.register("lawnmower", object)
 
 
 def test_importing_the_core_loads_nothing_heavy() -> None:
-    heavy = ["torch", "numba", "sionna", "mitsuba", "matplotlib", "rasterio", "xarray", "pandas", "geopandas"]
+    heavy = [
+        "torch",
+        "numba",
+        "sionna",
+        "mitsuba",
+        "matplotlib",
+        "rasterio",
+        "xarray",
+        "pandas",
+        "geopandas",
+    ]
     core = (
-        "skygain.survey, skygain.cli, skygain.predictors, skygain.planners, skygain.instruments, skygain.cities, skygain.testing"
+        "skygain.survey.loop, skygain.app.cli, skygain.predictors, skygain.planners, "
+        "skygain.instruments, skygain.cities, skygain.testing"
     )
     code = f"import sys, {core}; print([m for m in {heavy} if m in sys.modules])"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert shown.strip() == "[]"
 
 
@@ -150,7 +176,12 @@ def test_a_point_in_a_courtyard_is_outdoors() -> None:
 
 def test_points_in_polygons_agree_with_shapely(rng: np.random.Generator) -> None:
     shapely = pytest.importorskip("shapely")
-    star = np.array([(np.cos(a) * r, np.sin(a) * r) for a, r in zip(np.arange(10) * np.pi / 5, [10.0, 4.0] * 5, strict=True)])
+    star = np.array(
+        [
+            (np.cos(a) * r, np.sin(a) * r)
+            for a, r in zip(np.arange(10) * np.pi / 5, [10.0, 4.0] * 5, strict=True)
+        ]
+    )
     points = rng.uniform(-11, 11, (300, 2))
     ours = [Building(star, 5.0).covers(x, y) for x, y in points]
     assert ours == shapely.contains_xy(shapely.Polygon(star), points).tolist()

@@ -1,4 +1,5 @@
-"""Skygain maps a radio transmitter's channel gain over a city with a swarm of UAVs that fly where measuring teaches the most."""
+"""Skygain maps a radio transmitter's channel gain over a city with a swarm of UAVs that fly where
+measuring teaches the most."""
 
 from __future__ import annotations
 

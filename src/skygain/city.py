@@ -26,7 +26,8 @@ class Building:
     """inner rings (courtyards), each ``[corner, (x, y)]``"""
 
     def covers(self, x_m: float, y_m: float) -> bool:
-        """Whether the point lies inside the footprint (even-odd rule over outer and inner rings)."""
+        """Whether the point lies inside the footprint (even-odd rule over outer and inner
+        rings)."""
         inside = False
         for ring in (self.footprint_m, *self.holes_m):
             (x0, y0), (x1, y1) = ring.T, np.roll(ring, -1, axis=0).T
@@ -39,7 +40,9 @@ class Building:
     def shifted(self, dx_m: float, dy_m: float) -> Building:
         """The same building moved by (dx, dy)."""
         step = np.array([dx_m, dy_m])
-        return replace(self, footprint_m=self.footprint_m + step, holes_m=tuple(h + step for h in self.holes_m))
+        return replace(
+            self, footprint_m=self.footprint_m + step, holes_m=tuple(h + step for h in self.holes_m)
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,10 @@ class City:
     def __post_init__(self) -> None:
         height = np.array(self.height_m, dtype=np.float32)
         if height.shape != self.grid.shape:
-            raise ValueError(f"height_m has shape {height.shape}, but the grid has {self.grid.shape}; they must agree")
+            raise ValueError(
+                f"height_m has shape {height.shape}, but the grid has {self.grid.shape}; they must "
+                "agree"
+            )
         height.flags.writeable = False
         object.__setattr__(self, "height_m", height)
 
@@ -76,11 +82,13 @@ class City:
         return self.grid.crs
 
     def obstructed(self, altitude_m: float) -> NDArray[np.bool_]:
-        """``[row, col]`` cells where a UAV or receiver at ``altitude_m`` would be inside a building (height >= altitude)."""
+        """``[row, col]`` cells where a UAV or receiver at ``altitude_m`` would be inside a building
+        (height >= altitude)."""
         return self.height_m >= altitude_m
 
     def roof_m(self, x_m: float, y_m: float) -> float:
-        """Height of what is built at a point, 0 on open ground and off the map: from the polygons if known, else from its cell."""
+        """Height of what is built at a point, 0 on open ground and off the map: from the polygons
+        if known, else from its cell."""
         if self.buildings:
             return max((b.height_m for b in self.buildings if b.covers(x_m, y_m)), default=0.0)
         cell = self.grid.cells_at((x_m, y_m))
@@ -92,8 +100,9 @@ class City:
     def cropped(self, row: int, col: int, shape: tuple[int, int], *, rebase: bool = False) -> City:
         """The window of ``shape`` cells whose south-west cell is (row, col).
 
-        With ``rebase`` the window starts a local frame of its own: the centre of its cell (0, 0) becomes (0, 0) metres and the
-        CRS is dropped, so that nothing in the crop tells where in the city it lay. Buildings that do not touch the window go.
+        With ``rebase`` the window starts a local frame of its own: the centre of its cell (0, 0)
+        becomes (0, 0) metres and the CRS is dropped, so that nothing in the crop tells where in the
+        city it lay. Buildings that do not touch the window go.
 
         Raises:
             InputError: the window does not fit.

@@ -1,8 +1,9 @@
 """The map's raster: which cell is where.
 
-Everything in Skygain lives on one regular grid. Arrays are ``[..., row, col]``, cells are integer ``(row, col)``, and metres are
-``(x, y)`` with x to the east and y to the north. Row 0 is the southernmost row, so y grows with the row and pictures are drawn
-with ``origin="lower"``. A grid with a CRS also knows latitude and longitude.
+Everything in Skygain lives on one regular grid. Arrays are ``[..., row, col]``, cells are integer
+``(row, col)``, and metres are ``(x, y)`` with x to the east and y to the north. Row 0 is the
+southernmost row, so y grows with the row and pictures are drawn with ``origin="lower"``. A grid
+with a CRS also knows latitude and longitude.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.errors import InputError, require
+from skygain.ground.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Grid:
     origin_m: tuple[float, float] = (0.0, 0.0)
     """(x, y) of the centre of cell (0, 0), the south-west cell"""
     crs: str | None = None
-    """projected coordinate reference system of x and y, for example ``"EPSG:32617"``; ``None`` for a local frame"""
+    """projected coordinate reference system of x and y, for example ``"EPSG:32617"``; ``None`` for
+    a local frame"""
 
     @property
     def size(self) -> int:
@@ -48,7 +50,12 @@ class Grid:
         """(west, south, east, north) edges of the outermost cells."""
         half = self.spacing_m / 2
         west, south = self.origin_m[0] - half, self.origin_m[1] - half
-        return west, south, west + self.shape[1] * self.spacing_m, south + self.shape[0] * self.spacing_m
+        return (
+            west,
+            south,
+            west + self.shape[1] * self.spacing_m,
+            south + self.shape[0] * self.spacing_m,
+        )
 
     @cached_property
     def x_m(self) -> NDArray[np.float64]:
@@ -71,7 +78,8 @@ class Grid:
         return np.asarray(self.origin_m) + self.spacing_m * cells[..., ::-1]
 
     def cells_at(self, xy_m: ArrayLike) -> NDArray[np.int64]:
-        """Cells that contain the points ``xy_m[..., (x, y)]``; a point off the map gives a cell off the map (see `contains`)."""
+        """Cells that contain the points ``xy_m[..., (x, y)]``; a point off the map gives a cell off
+        the map (see `contains`)."""
         offset = (np.asarray(xy_m, dtype=float) - np.asarray(self.origin_m)) / self.spacing_m
         return np.floor(offset + 0.5).astype(np.int64)[..., ::-1]
 
@@ -86,20 +94,29 @@ class Grid:
         return cells[..., 0] * self.shape[1] + cells[..., 1]
 
     def cropped(self, row: int, col: int, shape: tuple[int, int]) -> Grid:
-        """The window of ``shape`` whose south-west cell is (row, col); coordinates stay those of this grid.
+        """The window of ``shape`` whose south-west cell is (row, col); coordinates stay those of
+        this grid.
 
         Raises:
             InputError: the window does not fit.
         """
-        if row < 0 or col < 0 or min(shape) < 1 or row + shape[0] > self.shape[0] or col + shape[1] > self.shape[1]:
+        if (
+            row < 0
+            or col < 0
+            or min(shape) < 1
+            or row + shape[0] > self.shape[0]
+            or col + shape[1] > self.shape[1]
+        ):
             raise InputError(
-                f"a crop of {shape} cells at row {row}, col {col} leaves the map of {self.shape} cells; choose a smaller crop"
+                f"a crop of {shape} cells at row {row}, col {col} leaves the map of {self.shape} "
+                "cells; choose a smaller crop"
             )
         x, y = self.xy_m((row, col))
         return replace(self, shape=(int(shape[0]), int(shape[1])), origin_m=(float(x), float(y)))
 
     def latlon(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Centres of ``cells`` as ``[..., (latitude, longitude)]`` in degrees (WGS 84); fractional cells are allowed.
+        """Centres of ``cells`` as ``[..., (latitude, longitude)]`` in degrees (WGS 84); fractional
+        cells are allowed.
 
         Raises:
             InputError: the grid has no CRS.
@@ -128,6 +145,9 @@ class Grid:
 
     def _transformer(self):  # type: ignore[no-untyped-def]
         if self.crs is None:
-            raise InputError("this map has no coordinate reference system, so it has no latitudes; load a georeferenced city")
+            raise InputError(
+                "this map has no coordinate reference system, so it has no latitudes; load a "
+                "georeferenced city"
+            )
         pyproj = require("pyproj", "geo")
         return pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)

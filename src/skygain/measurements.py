@@ -9,15 +9,17 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Columns of equal length, one row per reading, in the order they were taken. Arrays are read-only.
+    """Columns of equal length, one row per reading, in the order they were taken. Arrays are
+    read-only.
 
     Raises:
-        InputError: the columns differ in length, a gain is not finite, or a noise standard deviation is negative.
+        InputError: the columns differ in length, a gain is not finite, or a noise standard
+            deviation is negative.
 
     >>> first = Measurements.at([[0, 1]], gain_db=[-90.0])
     >>> both = first.extended(Measurements.at([[2, 2]], gain_db=[-95.0], noise_std_db=1.0))
@@ -39,7 +41,14 @@ class Measurements:
     """``[n]`` the receiver was at its floor: the true gain is ``gain_db`` or less"""
 
     def __post_init__(self) -> None:
-        dtypes = {"cell": np.int64, "gain_db": float, "noise_std_db": float, "time_s": float, "uav": np.int64, "censored": bool}
+        dtypes = {
+            "cell": np.int64,
+            "gain_db": float,
+            "noise_std_db": float,
+            "time_s": float,
+            "uav": np.int64,
+            "censored": bool,
+        }
         length = len(np.asarray(self.gain_db))
         for name, dtype in dtypes.items():
             column = np.array(getattr(self, name), dtype=dtype)
@@ -47,14 +56,19 @@ class Measurements:
                 column = column.reshape(-1, 2)
             if len(column) != length:
                 raise InputError(
-                    f"measurement columns must be of equal length: gain_db has {length} rows, {name} has {len(column)}"
+                    f"measurement columns must be of equal length: gain_db has {length} rows, "
+                    f"{name} has {len(column)}"
                 )
             column.flags.writeable = False
             object.__setattr__(self, name, column)
         if not np.isfinite(self.gain_db).all():
-            raise InputError("a measured gain is NaN or infinite; drop such readings before they enter a survey")
+            raise InputError(
+                "a measured gain is NaN or infinite; drop such readings before they enter a survey"
+            )
         if not (np.isfinite(self.noise_std_db).all() and (self.noise_std_db >= 0).all()):
-            raise InputError("a noise standard deviation is negative or not finite; give 0 for an exact reading")
+            raise InputError(
+                "a noise standard deviation is negative or not finite; give 0 for an exact reading"
+            )
 
     @classmethod
     def at(
@@ -69,9 +83,18 @@ class Measurements:
     ) -> Measurements:
         """Readings of ``gain_db[n]`` at ``cell[n, (row, col)]``; scalar columns are repeated."""
         n = len(np.asarray(gain_db))
-        spread = (np.broadcast_to(np.asarray(c), (n,)) for c in (noise_std_db, time_s, uav, censored))
+        spread = (
+            np.broadcast_to(np.asarray(c), (n,)) for c in (noise_std_db, time_s, uav, censored)
+        )
         noise, time, which, floor = spread
-        return cls(np.asarray(cell, dtype=np.int64).reshape(-1, 2), np.asarray(gain_db, dtype=float), noise, time, which, floor)
+        return cls(
+            np.asarray(cell, dtype=np.int64).reshape(-1, 2),
+            np.asarray(gain_db, dtype=float),
+            noise,
+            time,
+            which,
+            floor,
+        )
 
     @classmethod
     def none(cls) -> Measurements:
@@ -83,7 +106,9 @@ class Measurements:
 
     def extended(self, more: Measurements) -> Measurements:
         """These readings followed by ``more``."""
-        return Measurements(*(np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)))
+        return Measurements(
+            *(np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self))
+        )
 
     def taken(self, index: ArrayLike) -> Measurements:
         """The readings selected by an integer index or boolean mask."""

@@ -1,7 +1,8 @@
 """What a predictor believes about the gain at every cell.
 
-Inference returns an object: a mean and a variance per cell, with samples, intervals and entropy derived from them. A posterior
-that knows how cells vary together is a `JointPosterior` and also answers `covariance`; planners that need it ask for that type.
+Inference returns an object: a mean and a variance per cell, with samples, intervals and entropy
+derived from them. A posterior that knows how cells vary together is a `JointPosterior` and also
+answers `covariance`; planners that need it ask for that type.
 """
 
 from __future__ import annotations
@@ -35,9 +36,15 @@ class Posterior:
     """``[row, col]`` variance of the gain, never negative"""
 
     def __post_init__(self) -> None:
-        mean, variance = np.asarray(self.mean_db, dtype=float), np.asarray(self.variance_db2, dtype=float)
+        mean, variance = (
+            np.asarray(self.mean_db, dtype=float),
+            np.asarray(self.variance_db2, dtype=float),
+        )
         if mean.shape != variance.shape:
-            raise ValueError(f"mean_db has shape {mean.shape}, variance_db2 has {variance.shape}; they must agree")
+            raise ValueError(
+                f"mean_db has shape {mean.shape}, variance_db2 has {variance.shape}; they must "
+                "agree"
+            )
         for name, value in (("mean_db", mean), ("variance_db2", variance)):
             view = value.view()
             view.flags.writeable = False
@@ -49,9 +56,12 @@ class Posterior:
         return np.sqrt(self.variance_db2)
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
-        """Central credible interval: (low, high), each ``[row, col]``, that holds the gain with probability ``level``."""
+        """Central credible interval: (low, high), each ``[row, col]``, that holds the gain with
+        probability ``level``."""
         if not 0 < level < 1:
-            raise ValueError(f"level must lie between 0 and 1, got {level}; give 0.9 for a 90 % interval")
+            raise ValueError(
+                f"level must lie between 0 and 1, got {level}; give 0.9 for a 90 % interval"
+            )
         half = ndtri(0.5 + level / 2) * self.std_db
         return self.mean_db - half, self.mean_db + half
 
@@ -60,10 +70,13 @@ class Posterior:
         return self.mean_db + self.std_db * rng.standard_normal((n, *self.mean_db.shape))
 
     def entropy(self, cells: ArrayLike) -> float:
-        """Differential entropy in nats of the gains at ``cells[n, (row, col)]``: Σ ½ log(2πe σ²); −inf if one is known exactly."""
+        """Differential entropy in nats of the gains at ``cells[n, (row, col)]``: Σ ½ log(2πe σ²);
+        −inf if one is known exactly."""
         cells = np.asarray(cells, dtype=np.int64)
         with np.errstate(divide="ignore"):
-            return float(0.5 * np.sum(np.log(2 * np.pi * np.e * self.variance_db2[cells[:, 0], cells[:, 1]])))
+            return float(
+                0.5 * np.sum(np.log(2 * np.pi * np.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
+            )
 
 
 class JointPosterior(Posterior):
@@ -71,10 +84,12 @@ class JointPosterior(Posterior):
 
     @abstractmethod
     def covariance(self, cells: ArrayLike, others: ArrayLike | None = None) -> Array:
-        """``[n, m]`` covariance in dB² of the gains at ``cells[n, (row, col)]`` and ``others[m, (row, col)]`` (default ``cells``)."""
+        """``[n, m]`` covariance in dB² of the gains at ``cells[n, (row, col)]`` and ``others[m,
+        (row, col)]`` (default ``cells``)."""
 
     def entropy(self, cells: ArrayLike) -> float:
-        """Joint differential entropy in nats of the gains at distinct ``cells``: ½ log det(2πe Σ); −inf if Σ is singular."""
+        """Joint differential entropy in nats of the gains at distinct ``cells``: ½ log det(2πe Σ);
+        −inf if Σ is singular."""
         sign, log_det = np.linalg.slogdet(2 * np.pi * np.e * self.covariance(cells))
         return float(0.5 * log_det) if sign > 0 else -np.inf
 
@@ -88,11 +103,15 @@ class GaussianProcessPosterior(JointPosterior):
 
     def covariance(self, cells: ArrayLike, others: ArrayLike | None = None) -> Array:
         cells = np.asarray(cells, dtype=np.int64)
-        return self.covariance_of(cells, cells if others is None else np.asarray(others, dtype=np.int64))
+        return self.covariance_of(
+            cells, cells if others is None else np.asarray(others, dtype=np.int64)
+        )
 
     def sample_at(self, cells: ArrayLike, rng: np.random.Generator, n: int = 1) -> Array:
         """``[n, k]`` joint draws of the gains at ``cells[k, (row, col)]``."""
         cells = np.asarray(cells, dtype=np.int64)
         values, vectors = np.linalg.eigh(self.covariance(cells))
         root = vectors * np.sqrt(np.clip(values, 0, None))
-        return self.mean_db[cells[:, 0], cells[:, 1]] + rng.standard_normal((n, len(cells))) @ root.T
+        return (
+            self.mean_db[cells[:, 0], cells[:, 1]] + rng.standard_normal((n, len(cells))) @ root.T
+        )

@@ -11,17 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.city import City
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One survey's setting: the city, the altitudes, the no-fly zones, and the transmitter if its position is known.
+    """One survey's setting: the city, the altitudes, the no-fly zones, and the transmitter if its
+    position is known.
 
     Raises:
-        InputError: no cell is free for flight or for prediction, the no-fly mask has another shape than the map, or a known
-            transmitter stands inside a building or is not finite.
+        InputError: no cell is free for flight or for prediction, the no-fly mask has another shape
+            than the map, or a known transmitter stands inside a building or is not finite.
     """
 
     city: City
@@ -32,7 +33,8 @@ class Scenario:
     no_fly: NDArray[np.bool_] | None = None
     """``[row, col]`` cells no UAV may enter, besides buildings"""
     transmitter_m: tuple[float, float, float] | None = None
-    """(x, y, z) of the transmitter in the city's metres, ``None`` when unknown; it may lie outside the map"""
+    """(x, y, z) of the transmitter in the city's metres, ``None`` when unknown; it may lie outside
+    the map"""
     frequency_hz: float = 5.0e9
     """carrier frequency"""
 
@@ -40,21 +42,29 @@ class Scenario:
         for name in ("uav_altitude_m", "prediction_altitude_m", "frequency_hz"):
             value = float(getattr(self, name))
             if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} must be a positive number, got {value}; give metres above the street (or hertz)")
+                raise InputError(
+                    f"{name} must be a positive number, got {value}; give metres above the street "
+                    "(or hertz)"
+                )
         if self.no_fly is not None:
             mask = np.array(self.no_fly, dtype=bool)
             if mask.shape != self.grid.shape:
-                raise InputError(f"no_fly has shape {mask.shape}, but the map has {self.grid.shape}; they must agree")
+                raise InputError(
+                    f"no_fly has shape {mask.shape}, but the map has {self.grid.shape}; they must "
+                    "agree"
+                )
             mask.flags.writeable = False
             object.__setattr__(self, "no_fly", mask)
         if not self.flyable.any():
             raise InputError(
-                f"no cell of {self.city.name!r} is free for flight at {self.uav_altitude_m:g} m: every cell is built up or no-fly; "
+                f"no cell of {self.city.name!r} is free for flight at {self.uav_altitude_m:g} m: "
+                "every cell is built up or no-fly; "
                 "fly higher or choose another city"
             )
         if not self.outdoor.any():
             raise InputError(
-                f"no cell of {self.city.name!r} is outdoors at {self.prediction_altitude_m:g} m; predict at a higher altitude"
+                f"no cell of {self.city.name!r} is outdoors at {self.prediction_altitude_m:g} m; "
+                "predict at a higher altitude"
             )
         if self.transmitter_m is not None:
             check_transmitter(self.city, self.transmitter_m)
@@ -66,7 +76,8 @@ class Scenario:
 
     @cached_property
     def flyable(self) -> NDArray[np.bool_]:
-        """``[row, col]`` cells a UAV may be in: unobstructed at the UAV altitude and not in a no-fly zone."""
+        """``[row, col]`` cells a UAV may be in: unobstructed at the UAV altitude and not in a
+        no-fly zone."""
         free = ~self.city.obstructed(self.uav_altitude_m)
         if self.no_fly is not None:
             free &= ~self.no_fly
@@ -75,7 +86,8 @@ class Scenario:
 
     @cached_property
     def outdoor(self) -> NDArray[np.bool_]:
-        """``[row, col]`` cells where the prediction counts: unobstructed at the prediction altitude."""
+        """``[row, col]`` cells where the prediction counts: unobstructed at the prediction
+        altitude."""
         free = ~self.city.obstructed(self.prediction_altitude_m)
         free.flags.writeable = False
         return free
@@ -86,15 +98,18 @@ class Scenario:
 
 
 def check_transmitter(city: City, transmitter_m: tuple[float, float, float]) -> None:
-    """Raise `InputError` if the transmitter is not three finite numbers or stands inside a building of the map."""
+    """Raise `InputError` if the transmitter is not three finite numbers or stands inside a building
+    of the map."""
     position = np.asarray(transmitter_m, dtype=float)
     if position.shape != (3,) or not np.isfinite(position).all():
         raise InputError(
-            f"a transmitter position is three finite numbers x, y, z in metres, got {transmitter_m}; give e.g. 120,80,1.5"
+            "a transmitter position is three finite numbers x, y, z in metres, got "
+            f"{transmitter_m}; give e.g. 120,80,1.5"
         )
     roof_m = city.roof_m(position[0], position[1])
     if roof_m > 0 and roof_m >= position[2]:
         raise InputError(
-            f"the transmitter at x={position[0]:g} m, y={position[1]:g} m, z={position[2]:g} m is inside a building "
+            f"the transmitter at x={position[0]:g} m, y={position[1]:g} m, z={position[2]:g} m is "
+            "inside a building "
             f"{roof_m:g} m high; move it to open ground or above the roof"
         )

@@ -12,8 +12,8 @@ import pytest
 from skygain.cities.footprints import footprints_city, rasterised, read_footprints
 from skygain.cities.manhattan import manhattan_city
 from skygain.cities.raster import raster_city, save_heights
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 geopandas = pytest.importorskip("geopandas")
 shapely = pytest.importorskip("shapely")
@@ -40,7 +40,10 @@ def at(city: Any, x: float, y: float) -> float:
 
 
 def test_one_building_in_the_north_east(tmp_path: Path) -> None:
-    rows = [{"height": 10.0, "geometry": square(0, 0, 4)}, {"height": 30.0, "geometry": square(80, 60, 20, 40)}]
+    rows = [
+        {"height": 10.0, "geometry": square(0, 0, 4)},
+        {"height": 30.0, "geometry": square(80, 60, 20, 40)},
+    ]
     city = footprints_city(write(tmp_path / "two.gpkg", rows))
     assert city.grid == Grid((25, 25), 4.0, (600002.0, 4000002.0), UTM)
     assert city.height_m[0, 0] == 10
@@ -53,7 +56,9 @@ def test_one_building_in_the_north_east(tmp_path: Path) -> None:
 def test_manhattan_survives_a_file_and_the_raster(tmp_path: Path, suffix: str) -> None:
     """City to polygons in a file to city, and city to GeoTIFF to city, are all the same heights."""
     made = manhattan_city(3)
-    rows = [{"height": b.height_m, "geometry": shapely.Polygon(b.footprint_m)} for b in made.buildings]
+    rows = [
+        {"height": b.height_m, "geometry": shapely.Polygon(b.footprint_m)} for b in made.buildings
+    ]
     path = write(tmp_path / f"m.{suffix}", rows, crs=UTM)
     read = footprints_city(path, crs="local", box=made.grid.bounds_m)
     np.testing.assert_array_equal(read.height_m, made.height_m)
@@ -64,7 +69,10 @@ def test_manhattan_survives_a_file_and_the_raster(tmp_path: Path, suffix: str) -
 
 
 def test_degrees_become_utm_and_keep_their_place(tmp_path: Path) -> None:
-    rows = [{"height": 30.0, "geometry": square(0, 0, 50)}, {"height": 9.0, "geometry": square(200, 100, 60)}]
+    rows = [
+        {"height": 30.0, "geometry": square(0, 0, 50)},
+        {"height": 9.0, "geometry": square(200, 100, 60)},
+    ]
     path = tmp_path / "d.geojson"
     geopandas.GeoDataFrame(rows, geometry="geometry", crs=UTM).to_crs("EPSG:4326").to_file(path)
     city = footprints_city(path)
@@ -75,7 +83,9 @@ def test_degrees_become_utm_and_keep_their_place(tmp_path: Path) -> None:
 
 
 def test_stretched_and_foreign_projections_become_utm(tmp_path: Path) -> None:
-    frame = geopandas.GeoDataFrame([{"height": 30.0, "geometry": square(0, 0, 50)}], geometry="geometry", crs=UTM)
+    frame = geopandas.GeoDataFrame(
+        [{"height": 30.0, "geometry": square(0, 0, 50)}], geometry="geometry", crs=UTM
+    )
     for name, crs in (("mercator", "EPSG:3857"), ("feet", "EPSG:2264")):
         frame.to_crs(crs).to_file(tmp_path / f"{name}.gpkg")
         city = footprints_city(tmp_path / f"{name}.gpkg")
@@ -106,7 +116,9 @@ def test_a_bow_tie_is_mended_and_what_has_no_area_is_left_out(tmp_path: Path) ->
     reading = read_footprints(write(tmp_path / "b.gpkg", rows))
     assert reading.counts["polygons mended"] >= 1
     assert reading.counts["without a polygon, left out"] == 3
-    assert sum(shapely.Polygon(b.footprint_m).area for b in reading.city.buildings) == pytest.approx(800)
+    assert sum(
+        shapely.Polygon(b.footprint_m).area for b in reading.city.buildings
+    ) == pytest.approx(800)
     assert [at(reading.city, 6, 20), at(reading.city, 22, 6)] == [5, 0]
 
 
@@ -139,8 +151,18 @@ def test_missing_heights_get_the_default_and_are_counted(tmp_path: Path) -> None
 def test_a_building_covered_by_parts_is_replaced_by_them(tmp_path: Path) -> None:
     rows = [
         {"building": "yes", "building:part": None, "height": 60.0, "geometry": square(0, 0, 40)},
-        {"building": None, "building:part": "yes", "height": 12.0, "geometry": square(0, 0, 40, 20)},
-        {"building": None, "building:part": "yes", "height": 60.0, "geometry": square(0, 20, 40, 20)},
+        {
+            "building": None,
+            "building:part": "yes",
+            "height": 12.0,
+            "geometry": square(0, 0, 40, 20),
+        },
+        {
+            "building": None,
+            "building:part": "yes",
+            "height": 60.0,
+            "geometry": square(0, 20, 40, 20),
+        },
     ]
     reading = read_footprints(write(tmp_path / "p.gpkg", rows))
     assert [at(reading.city, 10, 10), at(reading.city, 10, 30)] == [12, 60]
@@ -160,7 +182,10 @@ def test_an_outline_keeps_its_height_where_no_part_is(tmp_path: Path) -> None:
     city = reading.city
     assert [at(city, 10, 10), at(city, 30, 10), at(city, 10, 30)] == [50, 15, 15]
     assert at(city, 30, 30) == 15  # a part without a height has its building's
-    assert [at(city, 70, 10), at(city, 110, 10)] == [8, 9]  # a building without parts; a part without a building
+    assert [at(city, 70, 10), at(city, 110, 10)] == [
+        8,
+        9,
+    ]  # a building without parts; a part without a building
     assert reading.counts["outlines cut by their parts"] == 1
     areas = [shapely.Polygon(b.footprint_m).area for b in city.buildings]
     assert sum(areas) == pytest.approx(1600 + 400 + 400)
@@ -193,8 +218,16 @@ def test_only_buildings_where_buildings_are_tagged(tmp_path: Path) -> None:
 
 
 def test_tags_in_the_collective_column(tmp_path: Path) -> None:
-    rows = [{"building": "yes", "other_tags": '"height"=>"40 ft","building:levels"=>"9"', "geometry": square(0, 0, 20)}]
-    assert footprints_city(write(tmp_path / "t.gpkg", rows)).buildings[0].height_m == pytest.approx(12.192)
+    rows = [
+        {
+            "building": "yes",
+            "other_tags": '"height"=>"40 ft","building:levels"=>"9"',
+            "geometry": square(0, 0, 20),
+        }
+    ]
+    assert footprints_city(write(tmp_path / "t.gpkg", rows)).buildings[0].height_m == pytest.approx(
+        12.192
+    )
 
 
 def test_box_in_degrees_and_metres(tmp_path: Path) -> None:
@@ -207,7 +240,9 @@ def test_box_in_degrees_and_metres(tmp_path: Path) -> None:
         city = footprints_city(tmp_path / f"{name}.gpkg", box=metres)
         assert city.grid == Grid((25, 50), 4.0, (600182.0, 3999992.0), UTM)
         assert [b.height_m for b in city.buildings] == [12, 13]
-    (south, west), (north, east) = Grid((1, 1), 1.0, crs=UTM).latlon([[3999990, 600180], [4000090, 600380]])
+    (south, west), (north, east) = Grid((1, 1), 1.0, crs=UTM).latlon(
+        [[3999990, 600180], [4000090, 600380]]
+    )
     for name in ("m", "d"):
         city = footprints_city(tmp_path / f"{name}.gpkg", box=(west, south, east, north))
         assert {12, 13} <= {b.height_m for b in city.buildings}
@@ -238,7 +273,10 @@ def osm_text() -> str:
     grid = Grid((1, 1), 1.0, crs=UTM)
     corners = [(0, 0), (40, 0), (40, 40), (0, 40), (0, 0), (20, 0), (20, 40), (0, 40)]
     latlon = grid.latlon([(4e6 + y, 600000 + x) for x, y in corners])
-    nodes = "".join(f'<node id="{i + 1}" lat="{lat:.9f}" lon="{lon:.9f}"/>' for i, (lat, lon) in enumerate(latlon))
+    nodes = "".join(
+        f'<node id="{i + 1}" lat="{lat:.9f}" lon="{lon:.9f}"/>'
+        for i, (lat, lon) in enumerate(latlon)
+    )
     return OSM.format(nodes=nodes)
 
 
@@ -254,16 +292,24 @@ def test_openstreetmap(tmp_path: Path) -> None:
     assert reading.counts["outlines cut by their parts"] == 1
     latlon = city.grid.latlon(city.grid.cells_at([600020, 4e6 + 20]))
     with pytest.raises(InputError, match=r"misses the data.*swapped"):
-        read_footprints(path, box=(latlon[0] - 0.01, latlon[1] - 0.01, latlon[0] + 0.01, latlon[1] + 0.01))
+        read_footprints(
+            path, box=(latlon[0] - 0.01, latlon[1] - 0.01, latlon[0] + 0.01, latlon[1] + 0.01)
+        )
 
 
 def test_openstreetmap_protobuf_is_the_same(tmp_path: Path) -> None:
     """``block.osm.pbf`` holds the text above, written by osmium."""
     path = tmp_path / "block.osm"
     path.write_text(osm_text())
-    text, binary = (read_footprints(p, spacing_m=2) for p in (path, Path(__file__).parent / "block.osm.pbf"))
+    text, binary = (
+        read_footprints(p, spacing_m=2) for p in (path, Path(__file__).parent / "block.osm.pbf")
+    )
     np.testing.assert_array_equal(binary.city.height_m, text.city.height_m)
-    assert (binary.counts, binary.city.grid, binary.city.name) == (text.counts, text.city.grid, "block")
+    assert (binary.counts, binary.city.grid, binary.city.name) == (
+        text.counts,
+        text.city.grid,
+        "block",
+    )
 
 
 def test_layers(tmp_path: Path) -> None:
@@ -308,7 +354,10 @@ def ring(*corners: tuple[float, float]) -> dict[str, Any]:
         ("hello", "not readable"),
         ('{"type": "FeatureCollection", "features": [{"type": "Feat', "not readable"),
         (geojson(), "no building polygons"),
-        (geojson({"type": "Point", "coordinates": [11, 48]}), "no building polygons, found 1 without a polygon"),
+        (
+            geojson({"type": "Point", "coordinates": [11, 48]}),
+            "no building polygons, found 1 without a polygon",
+        ),
         (geojson(ring((691000, 5334000), (691010, 5334000), (691010, 5334010))), "give crs"),
         (geojson(ring((48.1, 111.5), (48.2, 111.5), (48.2, 111.6))), "swapped"),
         (geojson(ring((1, 1), (50, 1), (50, 50))), "smaller box"),
@@ -329,7 +378,9 @@ def test_a_file_cannot_send_the_reader_elsewhere(tmp_path: Path) -> None:
     write(tmp_path / "other.gpkg", [{"height": 5.0, "geometry": square(0, 0, 20)}], layer="other")
     source = f"<SrcDataSource>{tmp_path / 'other.gpkg'}</SrcDataSource>"
     path = tmp_path / "v.geojson"
-    path.write_text(f'<OGRVRTDataSource><OGRVRTLayer name="other">{source}</OGRVRTLayer></OGRVRTDataSource>')
+    path.write_text(
+        f'<OGRVRTDataSource><OGRVRTLayer name="other">{source}</OGRVRTLayer></OGRVRTDataSource>'
+    )
     with pytest.raises(InputError, match="OGR_VRT"):
         footprints_city(path)
 
@@ -339,11 +390,27 @@ def test_no_buildings_is_open_ground() -> None:
 
 
 def test_a_box_sees_the_parts_beyond_its_edge(tmp_path: Path) -> None:
-    """A building cut by the box is treated as it is in the whole city: its outline goes, since parts cover it."""
+    """A building cut by the box is treated as it is in the whole city: its outline goes, since
+    parts cover it."""
     rows = [
-        {"building": "yes", "building:part": None, "height": 60.0, "geometry": square(0, 0, 80, 20)},
-        {"building": None, "building:part": "yes", "height": 12.0, "geometry": square(4, 0, 36, 20)},
-        {"building": None, "building:part": "yes", "height": 30.0, "geometry": square(40, 0, 40, 20)},
+        {
+            "building": "yes",
+            "building:part": None,
+            "height": 60.0,
+            "geometry": square(0, 0, 80, 20),
+        },
+        {
+            "building": None,
+            "building:part": "yes",
+            "height": 12.0,
+            "geometry": square(4, 0, 36, 20),
+        },
+        {
+            "building": None,
+            "building:part": "yes",
+            "height": 30.0,
+            "geometry": square(40, 0, 40, 20),
+        },
     ]
     path = write(tmp_path / "e.gpkg", rows)
     whole = footprints_city(path)

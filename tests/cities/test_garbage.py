@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from skygain.cities import manhattan_city, open_city
 from skygain.cities.raster import save_heights
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 geopandas = pytest.importorskip("geopandas")
 shapely = pytest.importorskip("shapely")
@@ -23,21 +23,41 @@ pytest.importorskip("rasterio")
 SUFFIXES = ("tif", "geojson", "gpkg", "shp", "osm", "pbf")
 
 quick = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
-numbers = st.floats(-1e6, 1e6) | st.floats(-180, 180) | st.floats() | st.integers(-(10**400), 10**400)
-positions = st.lists(numbers, min_size=2, max_size=3) | st.just([]) | st.tuples(st.floats(11, 11.01), st.floats(48, 48.01))
+numbers = (
+    st.floats(-1e6, 1e6) | st.floats(-180, 180) | st.floats() | st.integers(-(10**400), 10**400)
+)
+positions = (
+    st.lists(numbers, min_size=2, max_size=3)
+    | st.just([])
+    | st.tuples(st.floats(11, 11.01), st.floats(48, 48.01))
+)
 rings = st.lists(positions, max_size=6).map(lambda corners: [*corners, *corners[:1]])
 geometries = st.one_of(
     st.none(),
     st.fixed_dictionaries({"type": st.just("Polygon"), "coordinates": st.lists(rings, max_size=3)}),
-    st.fixed_dictionaries({"type": st.just("MultiPolygon"), "coordinates": st.lists(st.lists(rings, max_size=2), max_size=2)}),
-    st.fixed_dictionaries({"type": st.sampled_from(["Point", "LineString", "Heap"]), "coordinates": positions}),
+    st.fixed_dictionaries(
+        {
+            "type": st.just("MultiPolygon"),
+            "coordinates": st.lists(st.lists(rings, max_size=2), max_size=2),
+        }
+    ),
+    st.fixed_dictionaries(
+        {"type": st.sampled_from(["Point", "LineString", "Heap"]), "coordinates": positions}
+    ),
 )
-values = st.none() | st.booleans() | numbers | st.text(max_size=8) | st.lists(st.integers(), max_size=2)
+values = (
+    st.none() | st.booleans() | numbers | st.text(max_size=8) | st.lists(st.integers(), max_size=2)
+)
 properties = st.dictionaries(
-    st.sampled_from(["height", "building", "building:part", "building:levels", "min_height", "other_tags", "x"]), values
+    st.sampled_from(
+        ["height", "building", "building:part", "building:levels", "min_height", "other_tags", "x"]
+    ),
+    values,
 )
 
 
@@ -59,7 +79,10 @@ def good_files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("good")
     city = manhattan_city(1)
     rows = [
-        {"height": str(b.height_m), "geometry": shapely.Polygon(b.footprint_m + np.array([6e5, 4e6]))}
+        {
+            "height": str(b.height_m),
+            "geometry": shapely.Polygon(b.footprint_m + np.array([6e5, 4e6])),
+        }
         for b in city.buildings[:10]
     ]
     frame = geopandas.GeoDataFrame(rows, geometry="geometry", crs="EPSG:32617")
@@ -80,8 +103,14 @@ def test_random_bytes(tmp_path: Path, suffix: str, content: bytes) -> None:
 
 
 @quick
-@given(st.sampled_from(["tif", "gpkg", "shp", "shx", "dbf", "geojson"]), st.integers(0, 2**32), st.booleans())
-def test_damaged_files(tmp_path: Path, good_files: dict[str, bytes], suffix: str, seed: int, cut: bool) -> None:
+@given(
+    st.sampled_from(["tif", "gpkg", "shp", "shx", "dbf", "geojson"]),
+    st.integers(0, 2**32),
+    st.booleans(),
+)
+def test_damaged_files(
+    tmp_path: Path, good_files: dict[str, bytes], suffix: str, seed: int, cut: bool
+) -> None:
     rng = np.random.default_rng(seed)
     for name, content in good_files.items():
         damaged = bytearray(content)
@@ -97,8 +126,13 @@ def test_damaged_files(tmp_path: Path, good_files: dict[str, bytes], suffix: str
 
 
 @quick
-@given(st.lists(st.tuples(geometries, properties), max_size=4), st.sampled_from([None, "local", "EPSG:32632"]))
-def test_wellformed_nonsense(tmp_path: Path, features: list[tuple[Any, Any]], crs: str | None) -> None:
+@given(
+    st.lists(st.tuples(geometries, properties), max_size=4),
+    st.sampled_from([None, "local", "EPSG:32632"]),
+)
+def test_wellformed_nonsense(
+    tmp_path: Path, features: list[tuple[Any, Any]], crs: str | None
+) -> None:
     path = tmp_path / "x.geojson"
     rows = [{"type": "Feature", "geometry": g, "properties": p} for g, p in features]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": rows}))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
 from skygain.city import Building, City
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.scenario import check_transmitter
 
 seeds = st.integers(0, 2**63)
@@ -47,13 +47,16 @@ def test_buildings_neither_overlap_nor_leave_the_square(seed: int) -> None:
 @settings(max_examples=25, deadline=None)
 @given(seeds)
 def test_four_streets_cross_the_square_each_way(seed: int) -> None:
-    """No building stands in the four streets at least 11.75 m wide (12 m, less the rounding of corners) in x, nor in y."""
+    """No building stands in the four streets at least 11.75 m wide (12 m, less the rounding of
+    corners) in x, nor in y."""
     e = edges(manhattan_city(seed))
     for axis in (0, 1):
         order = np.argsort(e[:, axis])
         reach = np.maximum.accumulate(e[order, axis + 2])
         gaps = e[order, axis][1:] - reach[:-1]
-        assert (gaps >= 11.75).sum() >= 4 - 1  # an entirely open row of blocks merges two streets into one wide gap
+        assert (
+            gaps >= 11.75
+        ).sum() >= 4 - 1  # an entirely open row of blocks merges two streets into one wide gap
 
 
 @settings(max_examples=25, deadline=None)
@@ -64,7 +67,9 @@ def test_raster_says_what_the_polygons_say(seed: int) -> None:
     e = edges(city)
     inside = (x > e[:, 0]) & (x < e[:, 2]) & (y > e[:, 1]) & (y < e[:, 3])  # [row, col, building]
     heights = np.array([b.height_m for b in city.buildings])
-    np.testing.assert_array_equal(city.height_m, np.where(inside.any(-1), heights[inside.argmax(-1)], 0))
+    np.testing.assert_array_equal(
+        city.height_m, np.where(inside.any(-1), heights[inside.argmax(-1)], 0)
+    )
     assert 0.15 < (city.height_m > 0).mean() < 0.55
     assert heights.min() >= 8 - 0.125
     assert heights.max() <= 48 + 0.125
@@ -142,7 +147,9 @@ def test_sites_are_outdoor_points_of_the_lattice(seed: int) -> None:
     assert len(np.unique(sites, axis=0)) == len(sites)
     e = edges(city)
     x, y = sites[:, :1], sites[:, 1:2]
-    assert not ((x > e[:, 0] - 0.3) & (x < e[:, 2] + 0.3) & (y > e[:, 1] - 0.3) & (y < e[:, 3] + 0.3)).any()
+    assert not (
+        (x > e[:, 0] - 0.3) & (x < e[:, 2] + 0.3) & (y > e[:, 1] - 0.3) & (y < e[:, 3] + 0.3)
+    ).any()
     for site in sites:
         check_transmitter(city, tuple(site))  # a scenario accepts it
 
@@ -159,7 +166,8 @@ def test_a_courtyard_is_outdoors() -> None:
 
 
 def test_statistics_are_those_of_the_first_data_set(shared_data: Path) -> None:
-    """Built share, number, size and height of buildings over 300 cities, against version 0 of the data set."""
+    """Built share, number, size and height of buildings over 300 cities, against version 0 of the
+    data set."""
     xr, zarr = pytest.importorskip("xarray"), pytest.importorskip("zarr")
     store = zarr.storage.ZipStore(shared_data / "manhattan-v0.zarr.zip", mode="r")
     with xr.open_zarr(store, consolidated=False) as data:
@@ -169,8 +177,14 @@ def test_statistics_are_those_of_the_first_data_set(shared_data: Path) -> None:
     ours = np.concatenate([np.c_[edges(c), [b.height_m for b in c.buildings]] for c in cities])
     their_count = np.isfinite(theirs[..., 0]).sum(axis=1).mean()
     theirs = theirs[np.isfinite(theirs[..., 0])]
-    assert np.mean([(c.height_m > 0).mean() for c in cities]) == pytest.approx(their_share, abs=0.01)
+    assert np.mean([(c.height_m > 0).mean() for c in cities]) == pytest.approx(
+        their_share, abs=0.01
+    )
     assert np.mean([len(c.buildings) for c in cities]) == pytest.approx(their_count, abs=2.5)
     percent = [5, 25, 50, 75, 95]
     for measure in (lambda b: b[:, 2] - b[:, 0], lambda b: b[:, 3] - b[:, 1], lambda b: b[:, 4]):
-        np.testing.assert_allclose(np.percentile(measure(ours), percent), np.percentile(measure(theirs), percent), rtol=0.05)
+        np.testing.assert_allclose(
+            np.percentile(measure(ours), percent),
+            np.percentile(measure(theirs), percent),
+            rtol=0.05,
+        )

@@ -11,7 +11,7 @@ import pytest
 
 from skygain.cities import central_crop, manhattan_city, open_city, random_crop, read_city
 from skygain.cities.raster import save_heights
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 
 @pytest.mark.parametrize("spec", [7, "7", "manhattan:7", "manhattan-7", " 7 "])
@@ -79,6 +79,12 @@ def test_import_loads_nothing_heavy() -> None:
     """A seed needs neither the geo extra nor the ray tracer."""
     code = (
         "import sys, skygain.cities as c; c.open_city('7');"
-        "print(sorted({m.split('.')[0] for m in sys.modules} & {'rasterio','pyproj','pyogrio','shapely','sionna','mitsuba','torch'}))"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & "
+        "{'rasterio','pyproj','pyogrio','shapely','sionna','mitsuba','torch'}))"
     )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )

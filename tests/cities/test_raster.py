@@ -11,15 +11,22 @@ import pytest
 from skygain.cities.manhattan import manhattan_city
 from skygain.cities.raster import raster_city, read_raster, save_heights
 from skygain.city import City
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
 
 rasterio = pytest.importorskip("rasterio")
 
 
-def write(path: Path, values: np.ndarray, transform: Any = None, crs: str | None = "EPSG:32617", **options: Any) -> Path:
-    """A GeoTIFF of ``values[..., row from the north, col]``, by default of 4 m pixels with the south-west corner at (600000, 4e6)."""
+def write(
+    path: Path,
+    values: np.ndarray,
+    transform: Any = None,
+    crs: str | None = "EPSG:32617",
+    **options: Any,
+) -> Path:
+    """A GeoTIFF of ``values[..., row from the north, col]``, by default of 4 m pixels with the
+    south-west corner at (600000, 4e6)."""
     values = values if values.ndim == 3 else values[None]
     if transform is None:
         transform = rasterio.Affine(4, 0, 600000, 0, -4, 4e6 + 4 * values.shape[1])
@@ -104,7 +111,12 @@ def test_a_raster_in_degrees_goes_to_utm(tmp_path: Path) -> None:
     lon, lat = -78.94, 36.0
     values = np.zeros((600, 600), dtype=np.uint8)
     values[280:320, 250:350] = 30
-    path = write(tmp_path / "d.tif", values, rasterio.Affine(step, 0, lon - 300 * step, 0, -step, lat + 300 * step), "EPSG:4326")
+    path = write(
+        tmp_path / "d.tif",
+        values,
+        rasterio.Affine(step, 0, lon - 300 * step, 0, -step, lat + 300 * step),
+        "EPSG:4326",
+    )
     city = raster_city(path)
     assert city.crs == "EPSG:32617"
     assert city.grid.spacing_m == 4.0
@@ -118,7 +130,9 @@ def test_a_raster_in_degrees_goes_to_utm(tmp_path: Path) -> None:
 def test_box_in_metres_and_degrees(tmp_path: Path) -> None:
     path = write(tmp_path / "c.tif", heights())
     whole = raster_city(path)
-    part = raster_city(path, box=(600008.5, 4000007.5, 600024.2, 4000020.1))  # nearest pixel edges: 8..24, 8..20
+    part = raster_city(
+        path, box=(600008.5, 4000007.5, 600024.2, 4000020.1)
+    )  # nearest pixel edges: 8..24, 8..20
     np.testing.assert_array_equal(part.height_m, whole.height_m[2:5, 2:6])
     assert part.grid == whole.grid.cropped(2, 2, (3, 4))
     (south, west), (north, east) = whole.grid.latlon([(2, 2), (4, 5)])
@@ -130,7 +144,9 @@ def test_box_in_metres_and_degrees(tmp_path: Path) -> None:
 
 
 def test_a_box_beyond_the_data_is_open_ground_and_counted(tmp_path: Path) -> None:
-    reading = read_raster(write(tmp_path / "c.tif", heights()), box=(599992, 4000000, 600032, 4000024))
+    reading = read_raster(
+        write(tmp_path / "c.tif", heights()), box=(599992, 4000000, 600032, 4000024)
+    )
     assert reading.city.grid.shape == (6, 10)
     assert not reading.city.height_m[:, :2].any()
     assert reading.counts == {"cells without data, taken as open ground": 12}
@@ -140,7 +156,10 @@ def test_missing_and_low_values_are_ground_and_counted(tmp_path: Path) -> None:
     values = heights()
     values[0, 0], values[1, 1], values[2, 2], values[3, 3] = np.nan, -9999, -0.4, np.inf
     reading = read_raster(write(tmp_path / "c.tif", values, nodata=-9999))
-    assert reading.counts == {"cells without data, taken as open ground": 3, "cells below ground, taken as open ground": 1}
+    assert reading.counts == {
+        "cells without data, taken as open ground": 3,
+        "cells below ground, taken as open ground": 1,
+    }
     assert np.count_nonzero(reading.city.height_m) == 6
     assert "3 cells without data" in str(reading)
 
@@ -154,7 +173,9 @@ def test_integer_nodata_and_scale(tmp_path: Path) -> None:
 
 
 def test_heights_in_feet(tmp_path: Path) -> None:
-    assert raster_city(write(tmp_path / "c.tif", heights(), units="ft")).height_m.max() == pytest.approx(6.096)
+    assert raster_city(
+        write(tmp_path / "c.tif", heights(), units="ft")
+    ).height_m.max() == pytest.approx(6.096)
     with pytest.raises(InputError, match="furlong"):
         raster_city(write(tmp_path / "d.tif", heights(), units="furlong"))
 
@@ -188,7 +209,12 @@ def test_georeference_is_needed(tmp_path: Path) -> None:
     degrees = rasterio.Affine(1e-5, 0, 11, 0, -1e-5, 48)
     with pytest.raises(InputError, match="give crs"):
         raster_city(write(tmp_path / "b.tif", heights(), degrees, None))
-    assert raster_city(write(tmp_path / "b.tif", heights(), degrees, None), crs="EPSG:4326", spacing_m=1).crs == "EPSG:32632"
+    assert (
+        raster_city(
+            write(tmp_path / "b.tif", heights(), degrees, None), crs="EPSG:4326", spacing_m=1
+        ).crs
+        == "EPSG:32632"
+    )
     with pytest.raises(InputError, match="EPSG:32617"):
         raster_city(write(tmp_path / "c.tif", heights(), crs="EPSG:4326"))
     with pytest.raises(InputError, match="unknown coordinate"):
@@ -203,7 +229,8 @@ def test_damaged_and_foreign_files(tmp_path: Path) -> None:
         "header": whole[:200],
         "empty": b"",
         "text": b"latitude,longitude\n1,2\n",
-        "vrt": b'<VRTDataset rasterXSize="1" rasterYSize="1"><VRTRasterBand dataType="Byte" band="1"/></VRTDataset>',
+        "vrt": b'<VRTDataset rasterXSize="1" rasterYSize="1">'
+        b'<VRTRasterBand dataType="Byte" band="1"/></VRTDataset>',
     }.items():
         path = tmp_path / f"{name}.tif"
         path.write_bytes(content)
@@ -217,9 +244,18 @@ def test_damaged_and_foreign_files(tmp_path: Path) -> None:
 
 def test_a_few_bytes_cannot_ask_for_terabytes(tmp_path: Path) -> None:
     path = tmp_path / "bomb.tif"
-    profile = {"driver": "GTiff", "width": 900_000, "height": 900_000, "count": 1, "dtype": "float32", "sparse_ok": True}
+    profile = {
+        "driver": "GTiff",
+        "width": 900_000,
+        "height": 900_000,
+        "count": 1,
+        "dtype": "float32",
+        "sparse_ok": True,
+    }
     transform = rasterio.Affine(1, 0, 100_000, 0, -1, 4_900_000)
-    with rasterio.open(path, "w", tiled=True, crs="EPSG:32617", bigtiff="yes", transform=transform, **profile):
+    with rasterio.open(
+        path, "w", tiled=True, crs="EPSG:32617", bigtiff="yes", transform=transform, **profile
+    ):
         pass
     with pytest.raises(InputError, match="cells, more than"):
         raster_city(path)

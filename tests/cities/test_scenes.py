@@ -9,10 +9,12 @@ import pytest
 
 from skygain.cities import open_city
 from skygain.cities.scenes import SCENES, load_scene, scene_city, scene_heights
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
-if find_spec("sionna") is None:  # not imported here: Dr.Jit looks for LLVM when it is, and must be told first where it is
+if (
+    find_spec("sionna") is None
+):  # not imported here: Dr.Jit looks for LLVM when it is, and must be told first where it is
     pytest.skip("the extra 'raytrace' is not installed", allow_module_level=True)
 
 
@@ -29,13 +31,16 @@ def test_the_street_canyon_has_its_six_houses() -> None:
         box = house.mi_mesh.bbox()
         (x0, y0, z0), (x1, y1, z1) = (np.array(corner).ravel() for corner in (box.min, box.max))
         expected[(x > x0) & (x < x1) & (y > y0) & (y < y1)] = z1 - z0
-        near_wall |= (np.minimum(abs(x - x0), abs(x - x1)) < 0.05) | (np.minimum(abs(y - y0), abs(y - y1)) < 0.05)
+        near_wall |= (np.minimum(abs(x - x0), abs(x - x1)) < 0.05) | (
+            np.minimum(abs(y - y0), abs(y - y1)) < 0.05
+        )
     np.testing.assert_allclose(city.height_m[~near_wall], expected[~near_wall], atol=0.05)
     assert len(np.unique(np.round(expected, 1))) == 4  # the ground and three heights
 
 
 def test_the_arch_stands_where_it_stands() -> None:
-    """The Arc de Triomphe is 49.5 m high, and the Champs-Elysees leave it to the east-south-east, clear of buildings."""
+    """The Arc de Triomphe is 49.5 m high, and the Champs-Elysees leave it to the east-south-east,
+    clear of buildings."""
     city = open_city("etoile", box=(-300, -250, 300, 250))
     assert (city.name, city.crs, city.buildings) == ("scene:etoile", None, ())
     arch = city.grid.cells_at([-127.0, 38.0])
@@ -45,7 +50,10 @@ def test_the_arch_stands_where_it_stands() -> None:
         [np.cos(np.radians(26)), -np.sin(np.radians(26))]
     )
     assert not city.height_m[tuple(city.grid.cells_at(along).T)].any()
-    mirrored = along * (1, -1) + (0, 76)  # the same street to the east-north-east would cut through houses
+    mirrored = along * (1, -1) + (
+        0,
+        76,
+    )  # the same street to the east-north-east would cut through houses
     assert city.height_m[tuple(city.grid.cells_at(mirrored).T)].any()
     assert 0.1 < (city.height_m > 0).mean() < 0.5
 

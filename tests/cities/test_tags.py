@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 
 from skygain.cities.tags import parse_length_m, parse_tags, plain_name, read_tags
 
-anything = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary() | st.lists(st.integers())
+anything = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text()
+    | st.binary()
+    | st.lists(st.integers())
+)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +67,10 @@ def test_hstore_round_trip(tags: dict[str, str]) -> None:
 
 
 def test_tags_as_json() -> None:
-    assert parse_tags('{"height": 12, "building:part": "yes"}') == {"height": "12", "building:part": "yes"}
+    assert parse_tags('{"height": 12, "building:part": "yes"}') == {
+        "height": "12",
+        "building:part": "yes",
+    }
 
 
 @given(st.text() | st.none() | st.floats())
@@ -78,7 +89,9 @@ def test_height_counts_before_levels() -> None:
     levels = read_tags(tags(building="yes", building_levels="3"))
     assert (levels.height_m, levels.from_levels) == (9.0, True)
     assert read_tags(tags(building="yes")).height_m is None
-    assert read_tags(tags(building="yes", height=0.0, num_floors=2)).height_m == 6.0  # 0 is how producers write unknown
+    assert (
+        read_tags(tags(building="yes", height=0.0, num_floors=2)).height_m == 6.0
+    )  # 0 is how producers write unknown
 
 
 def test_base_from_height_or_level() -> None:
@@ -101,7 +114,12 @@ def test_a_height_that_cannot_be_understood_is_said() -> None:
     assert not read_tags(tags(building="yes", height=float("nan"), levels="")).misread
 
 
-@given(st.dictionaries(st.sampled_from(["height", "buildinglevels", "minheight", "buildingpart", "building"]), anything))
+@given(
+    st.dictionaries(
+        st.sampled_from(["height", "buildinglevels", "minheight", "buildingpart", "building"]),
+        anything,
+    )
+)
 def test_tags_never_fail(attributes: dict[str, Any]) -> None:
     tag = read_tags(attributes)
     assert tag.base_m >= 0

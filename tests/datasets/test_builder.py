@@ -19,18 +19,30 @@ from skygain.datasets import ChannelDataset, build_dataset, describe_dataset, su
 from skygain.datasets.builder import _locked
 from skygain.datasets.presets import PRESETS, BuildConfig, preset_config
 from skygain.datasets.summary import dataset_info
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
-FAST = BuildConfig(name="fast", cities=(3, 1, 0, 2), max_sites=2, altitudes_m=(10.0, 20.0), samples=1, propagation="gudmundson")
+FAST = BuildConfig(
+    name="fast",
+    cities=(3, 1, 0, 2),
+    max_sites=2,
+    altitudes_m=(10.0, 20.0),
+    samples=1,
+    propagation="gudmundson",
+)
 """six cities without a ray tracer"""
 
 SCRIPT = """
 import sys
 from skygain.datasets.builder import build_dataset
 from skygain.datasets.presets import BuildConfig
-config = BuildConfig(name="fast", cities=(3, 1, 0, 2), max_sites=2, altitudes_m=(10.0, 20.0), samples=1, propagation="gudmundson")
+config = BuildConfig(
+    name="fast", cities=(3, 1, 0, 2), max_sites=2, altitudes_m=(10.0, 20.0), samples=1,
+    propagation="gudmundson",
+)
 if __name__ == "__main__":
-    build_dataset(config, sys.argv[1], workers=int(sys.argv[2]), progress=lambda done, *_: print(done, flush=True))
+    def told(done, *_):
+        print(done, flush=True)
+    build_dataset(config, sys.argv[1], workers=int(sys.argv[2]), progress=told)
 """
 
 
@@ -68,7 +80,9 @@ def test_surveys_can_be_drawn_from_it(built: Path) -> None:
 
 def test_more_workers_give_the_same_bytes(built: Path, tmp_path: Path) -> None:
     told = []
-    again = build_dataset(FAST, tmp_path / "two.zarr.zip", workers=2, progress=lambda *state: told.append(state))
+    again = build_dataset(
+        FAST, tmp_path / "two.zarr.zip", workers=2, progress=lambda *state: told.append(state)
+    )
     assert again.read_bytes() == built.read_bytes()
     assert [done for done, _, _ in told] == list(range(7))
     assert {total for _, total, _ in told} == {6}
@@ -125,7 +139,9 @@ def test_a_damaged_part_is_made_again(built: Path, tmp_path: Path) -> None:
     done = []
     build_dataset(two, path, progress=lambda count, *_: done.append(count))
     assert done == [1, 2]
-    np.testing.assert_array_equal(ChannelDataset.open(path).record(1).gain_db, ChannelDataset.open(built).record(4).gain_db)
+    np.testing.assert_array_equal(
+        ChannelDataset.open(path).record(1).gain_db, ChannelDataset.open(built).record(4).gain_db
+    )
 
 
 def _interrupt_after(cities: int):  # type: ignore[no-untyped-def]
@@ -162,7 +178,10 @@ def test_other_settings_do_not_mix(tmp_path: Path, built: Path) -> None:
 
 def test_two_builds_of_one_file_do_not_meet(tmp_path: Path) -> None:
     path = tmp_path / "d.zarr.zip"
-    with _locked(tmp_path / "d.zarr.zip.parts", path), pytest.raises(InputError, match="another process is building"):
+    with (
+        _locked(tmp_path / "d.zarr.zip.parts", path),
+        pytest.raises(InputError, match="another process is building"),
+    ):
         build_dataset(FAST, path)
     assert os.listdir(tmp_path) == []
 
@@ -209,7 +228,10 @@ def test_a_city_belongs_to_one_split_whatever_the_preset() -> None:
         assert len(dict(config.city_seeds)) == sum(config.cities)
 
 
-@pytest.mark.parametrize("change", [{"cities": (0, 0, 0, 0)}, {"cities": (1001, 0, 0, 0)}, {"max_sites": 0}, {"altitudes_m": ()}])
+@pytest.mark.parametrize(
+    "change",
+    [{"cities": (0, 0, 0, 0)}, {"cities": (1001, 0, 0, 0)}, {"max_sites": 0}, {"altitudes_m": ()}],
+)
 def test_a_configuration_out_of_range_is_refused(change: dict) -> None:
     with pytest.raises(InputError, match="got BuildConfig"):
         replace(FAST, **change)
@@ -222,7 +244,9 @@ def test_the_summary_counts_what_is_there(built: Path) -> None:
     assert sum(info["links"].values()) == dataset.n_links
     links = [dataset.link(i, 20.0) for i in dataset.links(None, 20.0)]
     gains = np.concatenate([link.truth_db[link.outdoor] for link in links])
-    assert info["altitudes"]["20"]["outdoor_share"] == pytest.approx(np.mean([link.outdoor.mean() for link in links]))
+    assert info["altitudes"]["20"]["outdoor_share"] == pytest.approx(
+        np.mean([link.outdoor.mean() for link in links])
+    )
     for name, value in info["altitudes"]["20"]["gain_db"].items():
         assert value == pytest.approx(np.percentile(gains, float(name.rstrip("%"))), abs=0.2)
     json.dumps(info)
@@ -230,7 +254,8 @@ def test_the_summary_counts_what_is_there(built: Path) -> None:
 
 
 def test_large_maps_are_built_and_surveyed_whole(tmp_path: Path) -> None:
-    """The preset for many UAVs: more than 250 cells a side, streets and buildings as in the small cities, a gain everywhere outdoors."""
+    """The preset for many UAVs: more than 250 cells a side, streets and buildings as in the small
+    cities, a gain everywhere outdoors."""
     large = replace(preset_config("large"), cities=(0, 1, 0, 0))
     dataset = ChannelDataset.open(build_dataset(large, tmp_path / "large.zarr.zip"))
     assert min(dataset.grid.shape) >= 250

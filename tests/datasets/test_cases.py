@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygain.datasets import ChannelDataset, open_sample, survey_cases
-from skygain.errors import InputError
-from skygain.swarm import steps_between
+from skygain.flight.swarm import steps_between
+from skygain.ground.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +20,14 @@ def dataset() -> ChannelDataset:
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 10_000), n_uavs=st.integers(1, 6), start=st.sampled_from(["cluster", "spread"]))
-def test_starts_are_distinct_and_connected_to_most_of_the_crop(seed: int, n_uavs: int, start: str) -> None:
+@given(
+    seed=st.integers(0, 10_000),
+    n_uavs=st.integers(1, 6),
+    start=st.sampled_from(["cluster", "spread"]),
+)
+def test_starts_are_distinct_and_connected_to_most_of_the_crop(
+    seed: int, n_uavs: int, start: str
+) -> None:
     for case in survey_cases(open_sample(), "T4", n_uavs=n_uavs, start=start, seed=seed):
         scenario = case.scenario()
         assert len(set(case.starts)) == n_uavs
@@ -50,8 +56,13 @@ def test_a_shorter_list_is_the_beginning_of_a_longer_one(shared_data) -> None:
 
 
 def test_crops_do_not_depend_on_the_swarm(dataset: ChannelDataset) -> None:
-    few, many = survey_cases(dataset, "T4", n_uavs=2), survey_cases(dataset, "T4", n_uavs=5, start="spread")
-    assert [(c.link, c.row, c.col, c.seed) for c in few] == [(c.link, c.row, c.col, c.seed) for c in many]
+    few, many = (
+        survey_cases(dataset, "T4", n_uavs=2),
+        survey_cases(dataset, "T4", n_uavs=5, start="spread"),
+    )
+    assert [(c.link, c.row, c.col, c.seed) for c in few] == [
+        (c.link, c.row, c.col, c.seed) for c in many
+    ]
 
 
 def test_cases_have_streams_of_their_own(dataset: ChannelDataset) -> None:

@@ -12,8 +12,8 @@ from skygain.datasets.crops import cropped_link, mirrored_link, random_crop, tur
 from skygain.datasets.link import Link
 from skygain.datasets.loader import CropLoader
 from skygain.datasets.sample import open_sample
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 
 def numbered_link(rows: int = 9, cols: int = 12, seed: int = 0) -> Link:
@@ -87,12 +87,18 @@ def test_a_quarter_turn_takes_east_to_north() -> None:
     link = numbered_link()
     turned = turned_link(link)
     assert turned.city.grid.shape == link.city.grid.shape[::-1]
-    np.testing.assert_array_equal(turned.truth_db[:, -1], link.truth_db[0])  # the southern edge becomes the eastern one
+    np.testing.assert_array_equal(
+        turned.truth_db[:, -1], link.truth_db[0]
+    )  # the southern edge becomes the eastern one
 
 
 def test_four_turns_and_two_mirrors_change_nothing() -> None:
     link = numbered_link()
-    for same in (turned_link(link, 4), turned_link(turned_link(link, 3)), mirrored_link(mirrored_link(link))):
+    for same in (
+        turned_link(link, 4),
+        turned_link(turned_link(link, 3)),
+        mirrored_link(mirrored_link(link)),
+    ):
         np.testing.assert_array_equal(same.truth_db, link.truth_db)
         assert same.transmitter_m == pytest.approx(link.transmitter_m)
         assert same.city.grid == link.city.grid
@@ -154,7 +160,9 @@ def test_a_loader_is_a_function_of_seed_and_step() -> None:
 def test_every_map_is_used_once_per_epoch() -> None:
     dataset = open_sample()
     loader = CropLoader(dataset, "T4", altitudes_m=dataset.altitudes_m, batch_size=1, seed=1)
-    used = [(int(b.link[0]), float(b.altitude_m[0])) for b in map(loader.batch, range(loader.n_items))]
+    used = [
+        (int(b.link[0]), float(b.altitude_m[0])) for b in map(loader.batch, range(loader.n_items))
+    ]
     assert len(set(used)) == loader.n_items == loader.steps_per_epoch
 
 
@@ -165,7 +173,10 @@ def test_gains_of_a_batch_are_finite_and_zero_inside_buildings() -> None:
     assert (batch.gain_db[batch.outdoor] < 0).all()
 
 
-@pytest.mark.parametrize("options", [{"shape": (122, 96)}, {"shape": (0, 5)}, {"batch_size": 0}, {"altitudes_m": (17.0,)}])
+@pytest.mark.parametrize(
+    "options",
+    [{"shape": (122, 96)}, {"shape": (0, 5)}, {"batch_size": 0}, {"altitudes_m": (17.0,)}],
+)
 def test_a_loader_refuses_what_cannot_be(options: dict) -> None:
     with pytest.raises(InputError):
         CropLoader(open_sample(), "T1", **options)

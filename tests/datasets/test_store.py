@@ -20,13 +20,15 @@ from hypothesis import strategies as st
 from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.datasets import ChannelDataset, open_sample, write_dataset
 from skygain.datasets.layout import VARIABLES, CityRecord
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 GRID = Grid((5, 6), 4.0, (3.0, 3.0))
 
 
-def records(rng: np.random.Generator, links: tuple[int, ...] = (3, 0, 40), altitudes: int = 2) -> list[CityRecord]:
+def records(
+    rng: np.random.Generator, links: tuple[int, ...] = (3, 0, 40), altitudes: int = 2
+) -> list[CityRecord]:
     """Cities with the given numbers of links and any old numbers in them; one map is left out."""
     made = []
     for i, n in enumerate(links):
@@ -47,13 +49,23 @@ def records(rng: np.random.Generator, links: tuple[int, ...] = (3, 0, 40), altit
 
 
 def write(path: Path, made: list[CityRecord]) -> Path:
-    return write_dataset(path, made, grid=GRID, altitudes_m=(10.0, 20.0), attributes={"frequency_hz": 5e9, "tool": "dice"})
+    return write_dataset(
+        path,
+        made,
+        grid=GRID,
+        altitudes_m=(10.0, 20.0),
+        attributes={"frequency_hz": 5e9, "tool": "dice"},
+    )
 
 
 def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) -> None:
     made = records(rng)
     dataset = ChannelDataset.open(write(tmp_path / "d.zarr.zip", made))
-    assert (dataset.grid, dataset.altitudes_m, dataset.attributes["tool"]) == (GRID, (10.0, 20.0), "dice")
+    assert (dataset.grid, dataset.altitudes_m, dataset.attributes["tool"]) == (
+        GRID,
+        (10.0, 20.0),
+        "dice",
+    )
     for i, record in enumerate(made):
         again = dataset.record(i)
         for name, value in vars(record).items():
@@ -65,7 +77,9 @@ def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator) 
 
 
 def test_equal_numbers_give_equal_bytes(tmp_path: Path) -> None:
-    one, two = (write(tmp_path / name, records(np.random.default_rng(1))) for name in ("a.zip", "b.zip"))
+    one, two = (
+        write(tmp_path / name, records(np.random.default_rng(1))) for name in ("a.zip", "b.zip")
+    )
     assert one.read_bytes() == two.read_bytes()
 
 
@@ -104,7 +118,11 @@ def test_the_layout_is_that_of_the_first_data_set(shared_data: Path, tmp_path: P
 def test_polygons_and_raster_of_a_stored_city_agree(shared_data: Path) -> None:
     dataset = ChannelDataset.open(shared_data / "manhattan-v0.zarr.zip")
     city = dataset.city(3)
-    assert (city.grid.shape, city.grid.spacing_m, city.grid.origin_m) == ((121, 121), 4.0, (3.0, 3.0))
+    assert (city.grid.shape, city.grid.spacing_m, city.grid.origin_m) == (
+        (121, 121),
+        4.0,
+        (3.0, 3.0),
+    )
     xy = city.grid.xy_m(city.grid.cells).reshape(121, 121, 2)
     inside = np.zeros(city.grid.shape, dtype=bool)
     for b in city.buildings:
@@ -124,7 +142,10 @@ def test_one_data_set_serves_many_processes(method: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # forking with threads about is what is tested here
         with multiprocessing.get_context(method).Pool(2) as pool:
-            assert pool.map(_sum_of_link, [(dataset, link) for link in range(dataset.n_links)]) == expected
+            assert (
+                pool.map(_sum_of_link, [(dataset, link) for link in range(dataset.n_links)])
+                == expected
+            )
 
 
 def test_pickling_reopens_the_file() -> None:
@@ -143,9 +164,13 @@ def read_everything(path: Path) -> None:
         dataset.city(i)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
-def test_damaged_files_give_input_errors_and_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_files_give_input_errors_and_nothing_else(
+    tmp_path: Path, data: st.DataObject
+) -> None:
     kind = data.draw(st.sampled_from(["cut", "garbage", "holes"]))
     if kind == "garbage":
         content = data.draw(st.binary(max_size=500))
@@ -164,7 +189,9 @@ def test_damaged_files_give_input_errors_and_nothing_else(tmp_path: Path, data: 
     except InputError as error:
         message = str(error)
     if message is None:
-        assert kind == "holes"  # in a byte that nothing reads, such as a date in the zip file's directory
+        assert (
+            kind == "holes"
+        )  # in a byte that nothing reads, such as a date in the zip file's directory
     else:
         assert str(path) in message
         assert "\n" not in message
@@ -197,7 +224,13 @@ def metadata(name: str, **change: object) -> dict[str, bytes]:
         (metadata("height_m", shape=[4, 121, 120]), "has 121 along 'x', expected 120"),
         (metadata("height_m", shape=[10**9, 121, 121]), "height_m"),
         (
-            metadata("gain_db", chunk_grid={"name": "regular", "configuration": {"chunk_shape": [10**9, 1, 121, 121]}}),
+            metadata(
+                "gain_db",
+                chunk_grid={
+                    "name": "regular",
+                    "configuration": {"chunk_shape": [10**9, 1, 121, 121]},
+                },
+            ),
             "too large",
         ),
         (metadata("gain_db", codecs=[{"name": "pickle"}]), "not a Skygain data set"),
@@ -205,7 +238,9 @@ def metadata(name: str, **change: object) -> dict[str, bytes]:
         ({"gain_db/c/0/0/0/0": b"nonsense"}, "damaged"),
     ],
 )
-def test_files_of_another_layout_are_refused(tmp_path: Path, change: dict[str, bytes | None], hint: str) -> None:
+def test_files_of_another_layout_are_refused(
+    tmp_path: Path, change: dict[str, bytes | None], hint: str
+) -> None:
     with pytest.raises(InputError, match=hint):
         read_everything(rewritten(tmp_path / "other.zarr.zip", change))
 
@@ -223,14 +258,19 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
 
 def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "bomb.zarr.zip"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("gain_db/c/0/0/0/0", "w") as entry:
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("gain_db/c/0/0/0/0", "w") as entry,
+    ):
         for _ in range(257):
             entry.write(bytes(2**20))
     with pytest.raises(InputError, match="not opened"):
         ChannelDataset.open(path)
 
 
-def test_nothing_is_left_behind_when_writing_fails(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_nothing_is_left_behind_when_writing_fails(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
     with pytest.raises(InputError, match="choose a folder"):
         write(tmp_path, records(rng))
     with pytest.raises(InputError, match="at least one link"):
@@ -240,7 +280,9 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path: Path, rng: np.rando
     assert os.listdir(tmp_path) == []
 
 
-def test_asking_for_what_is_not_there_names_what_is(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_asking_for_what_is_not_there_names_what_is(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
     dataset = ChannelDataset.open(write(tmp_path / "d.zarr.zip", records(rng)))
     for ask, hint in (
         (lambda: dataset.link(43), "links 0 to 42"),

@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skygain.environments.observation import packed_mean, packed_std
 from skygain.environments.rewards import RewardConfig, rewards
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
 from skygain.environments.worlds import LinkWorlds
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
+from skygain.networks.policies.planes import packed_mean, packed_std
 from skygain.predictors import create_predictor
 from skygain.predictors.base import Predictor
-from skygain.predictors.network_belief import NetworkBelief
+from skygain.predictors.networks.network_belief import NetworkBelief
 
 WORLDS = LinkWorlds(side=40)
 IDW = create_predictor("idw")
@@ -22,7 +22,10 @@ def legal(surveys, rng):
 
 def test_lanes_do_not_depend_on_each_other():
     config = EnvironmentConfig(n_uavs=2, steps=6)
-    wide, narrow = SurveyBatch(WORLDS, IDW, config, 3, seed=4), SurveyBatch(WORLDS, IDW, config, 2, seed=4)
+    wide, narrow = (
+        SurveyBatch(WORLDS, IDW, config, 3, seed=4),
+        SurveyBatch(WORLDS, IDW, config, 2, seed=4),
+    )
     for step in range(8):  # into the second episode
         actions = np.full((3, 2), step % 4)
         one, two = wide.step(actions), narrow.step(actions[:2])
@@ -55,17 +58,27 @@ def test_masked_moves_are_flown_as_asked_when_nobody_is_in_the_way(rng):
 
 
 def test_shaping_telescopes_to_the_first_error(rng):
-    # Σ γ^t (γΦ(s_{t+1}) − Φ(s_t)) = −Φ(s_0) whatever is flown, because Φ is 0 at the end: the best policy stays the best
+    # Σ γ^t (γΦ(s_{t+1}) − Φ(s_t)) = −Φ(s_0) whatever is flown, because Φ is 0 at the end: the best
+    # policy stays the best
     for seed in range(3):
         plain, shaped = (
-            SurveyBatch(WORLDS, IDW, EnvironmentConfig(1, 8, RewardConfig(shaping=s, discount=0.9)), 1, seed=seed, restart=False)
+            SurveyBatch(
+                WORLDS,
+                IDW,
+                EnvironmentConfig(1, 8, RewardConfig(shaping=s, discount=0.9)),
+                1,
+                seed=seed,
+                restart=False,
+            )
             for s in (False, True)
         )
         first = 0.01 * shaped.error_db[0]
         difference = 0.0
         for t in range(8):
             actions = legal(plain, rng)
-            difference += 0.9**t * float((shaped.step(actions).reward - plain.step(actions).reward)[0, 0])
+            difference += 0.9**t * float(
+                (shaped.step(actions).reward - plain.step(actions).reward)[0, 0]
+            )
         assert difference == pytest.approx(first, rel=1e-4)
 
 

@@ -1,4 +1,5 @@
-"""A comparison is paired, reproducible, survives being killed, and does not mix with another one."""
+"""A comparison is paired, reproducible, survives being killed, and does not mix with another
+one."""
 
 from __future__ import annotations
 
@@ -9,14 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skygain.errors import InputError
+from skygain.app.compare import run_comparison
 from skygain.evaluation.comparison import ComparisonConfig, compare
-from skygain.evaluation.methods import MethodSpec, parse_spec
-from skygain.evaluation.outputs import run_comparison
 from skygain.evaluation.tables import comparison_json, comparison_markdown
+from skygain.ground.errors import InputError
+from skygain.survey.methods import MethodSpec, parse_spec
 
 CONFIG = ComparisonConfig(
-    predictors=("idw", "knn"), planners=("random-waypoint", "lawnmower"), data="sample", steps=20, record_every=10, max_surveys=1
+    predictors=("idw", "knn"),
+    planners=("random-waypoint", "lawnmower"),
+    data="sample",
+    steps=20,
+    record_every=10,
+    max_surveys=1,
 )
 
 
@@ -39,7 +45,9 @@ def test_a_killed_run_goes_on_and_ends_in_the_same_table(folder: Path, tmp_path:
     lines = (folder / "rollouts.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "rollouts.jsonl").write_text(lines[1] + lines[0][: len(lines[0]) // 2])
     flown: list[str] = []
-    resumed = compare(CONFIG, tmp_path, workers=2, progress=lambda done, total, label: flown.append(label))
+    resumed = compare(
+        CONFIG, tmp_path, workers=2, progress=lambda done, total, label: flown.append(label)
+    )
     assert len(flown) == 3
     whole = compare(CONFIG, folder)
     for label, named in whole.scores.items():
@@ -48,7 +56,8 @@ def test_a_killed_run_goes_on_and_ends_in_the_same_table(folder: Path, tmp_path:
 
 
 def test_planners_of_one_case_start_alike(folder: Path) -> None:
-    """Two predictors flown by the random planner measure the same cells, so both see as many readings."""
+    """Two predictors flown by the random planner measure the same cells, so both see as many
+    readings."""
     lines = [json.loads(line) for line in (folder / "rollouts.jsonl").read_text().splitlines()]
     measured = {line["method"]: line["measured"] for line in lines}
     assert measured["idw / random-waypoint"] == measured["knn / random-waypoint"]
@@ -86,7 +95,10 @@ def test_bad_requests_are_one_clear_line(change: dict, message: str, tmp_path: P
         compare(replace(CONFIG, **change), tmp_path)
 
 
-@pytest.mark.parametrize("change", [{"steps": 0}, {"record_every": 0}, {"max_surveys": 0}, {"noise_db": -1.0}, {"planners": ()}])
+@pytest.mark.parametrize(
+    "change",
+    [{"steps": 0}, {"record_every": 0}, {"max_surveys": 0}, {"noise_db": -1.0}, {"planners": ()}],
+)
 def test_impossible_configurations_are_refused(change: dict) -> None:
     with pytest.raises(InputError):
         replace(CONFIG, **change)
@@ -94,7 +106,10 @@ def test_impossible_configurations_are_refused(change: dict) -> None:
 
 def test_the_transmitter_is_told_only_on_request() -> None:
     assert parse_spec("a:x=1:y=two") == ("a", {"x": 1, "y": "two"})
-    assert MethodSpec("knn+tx", "lawnmower").build_predictor() is MethodSpec("knn", "lawnmower").build_predictor()
+    assert (
+        MethodSpec("knn+tx", "lawnmower").build_predictor()
+        is MethodSpec("knn", "lawnmower").build_predictor()
+    )
 
 
 def test_whole_maps_and_other_windows(tmp_path: Path) -> None:
@@ -111,9 +126,16 @@ def test_whole_maps_and_other_windows(tmp_path: Path) -> None:
 
 
 def test_methods_can_be_paired_one_by_one(folder: Path) -> None:
-    config = replace(CONFIG, predictors=("idw",), planners=("lawnmower",), pairs=("knn / random-waypoint", "idw / lawnmower"))
+    config = replace(
+        CONFIG,
+        predictors=("idw",),
+        planners=("lawnmower",),
+        pairs=("knn / random-waypoint", "idw / lawnmower"),
+    )
     assert [m.label for m in config.methods] == ["idw / lawnmower", "knn / random-waypoint"]
-    table = comparison_markdown(compare(config, folder))  # flown already: the product and the pairs share one journal
+    table = comparison_markdown(
+        compare(config, folder)
+    )  # flown already: the product and the pairs share one journal
     assert "| knn / random-waypoint |" in table
     assert "Flight saved" not in table
     assert len(replace(config, predictors=(), planners=()).methods) == 2

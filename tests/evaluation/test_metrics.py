@@ -47,12 +47,16 @@ def test_each_rmse_counts_its_own_cells() -> None:
 def test_unknown_truth_does_not_count() -> None:
     truth = np.array([[np.nan, 0.0]])
     everywhere = np.ones((1, 2), dtype=bool)
-    scores = score(Posterior(np.array([[9.0, 1.0]]), np.ones((1, 2))), truth, everywhere, ~everywhere)
+    scores = score(
+        Posterior(np.array([[9.0, 1.0]]), np.ones((1, 2))), truth, everywhere, ~everywhere
+    )
     assert scores["rmse_db"] == 1.0
 
 
 def test_no_cell_left_gives_nan_not_an_error() -> None:
     everywhere = np.ones((1, 2), dtype=bool)
-    scores = score(Posterior(np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2)), everywhere, everywhere)
+    scores = score(
+        Posterior(np.zeros((1, 2)), np.ones((1, 2))), np.zeros((1, 2)), everywhere, everywhere
+    )
     assert math.isnan(scores["rmse_db"])
     assert scores["rmse_all_db"] == 0.0

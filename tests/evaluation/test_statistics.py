@@ -1,4 +1,5 @@
-"""The bootstrap covers what it should, resamples cities rather than surveys, and flight saved follows its definition."""
+"""The bootstrap covers what it should, resamples cities rather than surveys, and flight saved
+follows its definition."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ from skygain.evaluation.statistics import bootstrap_mean, city_weights, flight_s
 def test_interval_matches_scipy_when_every_city_has_one_survey(rng: np.random.Generator) -> None:
     values = rng.normal(5, 2, 40)
     ours = bootstrap_mean(values, np.arange(40), resamples=20_000)
-    theirs = stats.bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=rng).confidence_interval
+    theirs = stats.bootstrap(
+        (values,), np.mean, n_resamples=20_000, method="percentile", rng=rng
+    ).confidence_interval
     assert ours.mean == pytest.approx(values.mean())
     assert ours.low == pytest.approx(theirs.low, abs=0.06)
     assert ours.high == pytest.approx(theirs.high, abs=0.06)
@@ -35,6 +38,8 @@ def test_weights_sum_to_one_and_keep_cities_together() -> None:
 
 def test_flight_saved_interpolates_and_admits_defeat() -> None:
     steps = [50, 100, 150, 200]
-    assert flight_saved(steps, [12.0, 8.0, 6.0, 5.0], [16.0, 14.0, 12.0, 10.0]) == pytest.approx(200 / 75)
+    assert flight_saved(steps, [12.0, 8.0, 6.0, 5.0], [16.0, 14.0, 12.0, 10.0]) == pytest.approx(
+        200 / 75
+    )
     assert math.isnan(flight_saved(steps, [16.0, 14.0, 12.0, 11.0], [16.0, 14.0, 12.0, 10.0]))
     assert flight_saved(steps, [9.0, 9.0, 9.0, 9.0], [16.0, 14.0, 12.0, 10.0]) == 4.0

@@ -43,7 +43,11 @@ class HiddenRandomness(PerfectInstrument):
 
     def measure(self, cells, *, uav=None, time_s=0.0):
         found = super().measure(cells, uav=uav, time_s=time_s)
-        return replace(found, gain_db=found.gain_db + self.rng.normal(size=len(found)), noise_std_db=np.ones(len(found)))
+        return replace(
+            found,
+            gain_db=found.gain_db + self.rng.normal(size=len(found)),
+            noise_std_db=np.ones(len(found)),
+        )
 
 
 class ChangesItsArguments(PerfectInstrument):
@@ -56,7 +60,9 @@ class ChangesItsArguments(PerfectInstrument):
 
 class AnswersOffTheMap(PerfectInstrument):
     def measure(self, cells, *, uav=None, time_s=0.0):
-        return super().measure(np.clip(cells, 0, np.array(self.truth_db.shape) - 1), uav=uav, time_s=time_s)
+        return super().measure(
+            np.clip(cells, 0, np.array(self.truth_db.shape) - 1), uav=uav, time_s=time_s
+        )
 
 
 class NeverAnswers(PerfectInstrument):

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.instruments import GriddedRecording, grid_for, read_recording
 from skygain.instruments.recording import MAX_LEVEL_DB
 
@@ -67,15 +67,22 @@ OPTIONS = st.fixed_dictionaries(
         "skip_bad": st.booleans(),
         "eirp_dbm": st.one_of(st.none(), st.floats()),
         "quantity": st.sampled_from([None, "power", "gain", "loss", "watts"]),
-        "where": st.dictionaries(st.sampled_from(["PCI", "lat", "nothing"]), st.sampled_from(["", "1", 1, "A"]), max_size=2),
-        "columns": st.dictionaries(st.sampled_from(["level", "latitude", "x", "time", "colour"]), NAMES, max_size=2),
+        "where": st.dictionaries(
+            st.sampled_from(["PCI", "lat", "nothing"]),
+            st.sampled_from(["", "1", 1, "A"]),
+            max_size=2,
+        ),
+        "columns": st.dictionaries(
+            st.sampled_from(["level", "latitude", "x", "time", "colour"]), NAMES, max_size=2
+        ),
         "crs": st.sampled_from([None, "local", "EPSG:32617", "EPSG:4326", "nonsense"]),
     },
 )
 
 
 def outcome(content: bytes, options: dict) -> None:
-    """Read ``content`` and check that the recording, if there is one, is sound and can be brought onto a map or is refused."""
+    """Read ``content`` and check that the recording, if there is one, is sound and can be brought
+    onto a map or is refused."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "garbage.csv"
         path.write_bytes(content)
@@ -104,7 +111,10 @@ def outcome(content: bytes, options: dict) -> None:
     assert (np.diff(recording.line) > 0).all()
     for column in (recording.time_s, recording.noise_std_db, recording.censored):
         assert column is None or (column.shape == (n,) and np.isfinite(column).all())
-    for make_grid in (lambda: Grid((20, 20), 20.0, (-200.0, -200.0), crs=recording.crs), lambda: grid_for(recording, 50.0)):
+    for make_grid in (
+        lambda: Grid((20, 20), 20.0, (-200.0, -200.0), crs=recording.crs),
+        lambda: grid_for(recording, 50.0),
+    ):
         try:
             gridded = recording.on(make_grid())
         except InputError:
@@ -166,7 +176,12 @@ GOOD = {
 
 
 @settings(max_examples=300, deadline=None)
-@given(data=st.data(), header=st.sampled_from(sorted(GOOD)), skip_bad=st.booleans(), sep=st.sampled_from([",", ";"]))
+@given(
+    data=st.data(),
+    header=st.sampled_from(sorted(GOOD)),
+    skip_bad=st.booleans(),
+    sep=st.sampled_from([",", ";"]),
+)
 def test_damaged_campaigns(data, header, skip_bad, sep):
     lines = [header.split(",")]
     for digit in data.draw(st.lists(st.integers(0, 9), min_size=1, max_size=8)):
@@ -174,4 +189,7 @@ def test_damaged_campaigns(data, header, skip_bad, sep):
     for _ in range(data.draw(st.integers(0, 3))):
         line = lines[data.draw(st.integers(0, len(lines) - 1))]
         line[data.draw(st.integers(0, len(line) - 1))] = data.draw(FIELDS)
-    outcome("\n".join(sep.join(line) for line in lines).encode(errors="surrogatepass"), {"skip_bad": skip_bad})
+    outcome(
+        "\n".join(sep.join(line) for line in lines).encode(errors="surrogatepass"),
+        {"skip_bad": skip_bad},
+    )

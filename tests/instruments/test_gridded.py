@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.instruments import Recording, grid_for, read_recording
 
 GRID = Grid((10, 12), 4.0, (2.0, 2.0))
 
 
 def recorded(xy, level, **more) -> Recording:
-    return Recording(np.asarray(level, dtype=float), "gain", "made up", xy_m=np.asarray(xy, dtype=float), **more)
+    return Recording(
+        np.asarray(level, dtype=float), "gain", "made up", xy_m=np.asarray(xy, dtype=float), **more
+    )
 
 
 @settings(max_examples=60, deadline=None)
@@ -59,7 +61,8 @@ def test_copies_of_a_reading_bring_no_certainty_and_no_weight():
 
 
 def test_stated_standard_deviation_is_that_of_the_cell_means():
-    # Cells of a flat field with 5 dB fading and different numbers of readings: errors over claims are of size one.
+    # Cells of a flat field with 5 dB fading and different numbers of readings: errors over claims
+    # are of size one.
     rng = np.random.default_rng(2)
     grid = Grid((60, 60), 4.0)
     count = rng.integers(1, 12, 3600)
@@ -73,7 +76,9 @@ def test_stated_standard_deviation_is_that_of_the_cell_means():
 
 
 def test_no_cell_is_surer_than_the_floor():
-    gridded = recorded(np.random.default_rng(3).uniform(0, 4, (500, 2)), np.full(500, -90.0)).on(GRID, floor_std_db=1.5)
+    gridded = recorded(np.random.default_rng(3).uniform(0, 4, (500, 2)), np.full(500, -90.0)).on(
+        GRID, floor_std_db=1.5
+    )
     assert gridded.noise_std_db.tolist() == [1.5]
 
 
@@ -92,14 +97,20 @@ def test_a_cell_is_censored_when_all_its_readings_are():
 def test_readings_off_the_map_are_counted_and_all_off_is_an_error():
     gridded = recorded([[2, 2], [-3, 2], [49, 2], [np.inf, 0], [1e300, 0]], [-90] * 5).on(GRID)
     assert (len(gridded), gridded.outside) == (1, 4)
-    with pytest.raises(InputError, match="all 2 readings of made up lie outside the map: they span x"):
+    with pytest.raises(
+        InputError, match="all 2 readings of made up lie outside the map: they span x"
+    ):
         recorded([[-3, 2], [90, 2]], [-90, -91]).on(GRID)
 
 
 def test_frames_must_agree():
-    with pytest.raises(InputError, match="the map has a coordinate reference system and made up has none"):
+    with pytest.raises(
+        InputError, match="the map has a coordinate reference system and made up has none"
+    ):
         recorded([[2, 2]], [-90]).on(Grid((3, 3), 4.0, crs="EPSG:32617"))
-    with pytest.raises(InputError, match="made up has a coordinate reference system and the map has none"):
+    with pytest.raises(
+        InputError, match="made up has a coordinate reference system and the map has none"
+    ):
         recorded([[2, 2]], [-90], crs="EPSG:32617").on(GRID)
     with pytest.raises(InputError, match="has latitudes"):
         Recording(np.array([-90.0]), "gain", "made up", latlon=np.array([[36.0, -78.9]])).on(GRID)
@@ -120,7 +131,10 @@ def test_grid_for_degrees_is_in_the_right_zone_and_holds_every_reading():
     # Every reading lies within half a cell's diagonal of the centre of its cell.
     centres = grid.xy_m(gridded.cell)
     metres = grid.xy_m_at_latlon(LATLON)
-    assert np.linalg.norm(metres[:, None] - centres[None], axis=-1).min(axis=1).max() <= 2 * np.sqrt(2) + 1e-6
+    assert (
+        np.linalg.norm(metres[:, None] - centres[None], axis=-1).min(axis=1).max()
+        <= 2 * np.sqrt(2) + 1e-6
+    )
 
 
 def test_maps_of_one_area_share_their_cells():
@@ -179,8 +193,12 @@ def test_real_campaign_on_the_authors_box(shared_data):
     gridded = recording.on(grid)
     table = pandas.read_csv(path).query("PCI == 'B' and device == 'Pixel'").drop_duplicates()
     assert len(recording) == 1359
-    e, n = pyproj.Transformer.from_crs(4326, 32617, always_xy=True).transform(table.longitude, table.latitude)
-    table = table.assign(col=np.floor((e - x) / 4).astype(int), row=np.floor((n - y + 512) / 4).astype(int))
+    e, n = pyproj.Transformer.from_crs(4326, 32617, always_xy=True).transform(
+        table.longitude, table.latitude
+    )
+    table = table.assign(
+        col=np.floor((e - x) / 4).astype(int), row=np.floor((n - y + 512) / 4).astype(int)
+    )
     means = table.query("0 <= row < 128 and 0 <= col < 128").groupby(["row", "col"]).rsrp.mean()
     assert gridded.cell.tolist() == [list(cell) for cell in means.index]
     np.testing.assert_allclose(gridded.level_db, means)
@@ -193,7 +211,9 @@ def test_real_loggers_write_copies(shared_data):
     assert (len(recording), len(lines) - 1 - len(set(lines[1:]))) == (14110, 4845)
     held = np.zeros(3, dtype=int)
     for pci in "ABC":
-        phone = read_recording(shared_data / "duke_cbrs_abc.csv", where={"PCI": pci, "device": "Samsung"})
+        phone = read_recording(
+            shared_data / "duke_cbrs_abc.csv", where={"PCI": pci, "device": "Samsung"}
+        )
         pairs = np.column_stack([phone.latlon, phone.level_db])
         held += len(phone), len(np.unique(phone.latlon, axis=0)), len(np.unique(pairs, axis=0))
     assert held.tolist() == [6249, 4490, 4493]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.instruments import read_recording
 from skygain.instruments.columns import level_quantity
 
@@ -23,14 +23,24 @@ def csv_file(tmp_path):
 
 
 def table(header="lat,lon,rsrp", rows=ROWS, sep=",", decimal=".") -> str:
-    lines = [header.replace(",", sep)] + [sep.join(str(v).replace(".", decimal) for v in row) for row in rows]
+    lines = [header.replace(",", sep)] + [
+        sep.join(str(v).replace(".", decimal) for v in row) for row in rows
+    ]
     return "\n".join(lines) + "\n"
 
 
 @pytest.mark.parametrize(
-    "header", ["lat,lon,rsrp", "Latitude,LONGITUDE,RSRP (dBm)", "gps_lat,gps_lng,Signal Strength", " lat , lng ,level"]
+    "header",
+    [
+        "lat,lon,rsrp",
+        "Latitude,LONGITUDE,RSRP (dBm)",
+        "gps_lat,gps_lng,Signal Strength",
+        " lat , lng ,level",
+    ],
 )
-@pytest.mark.parametrize(("sep", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+@pytest.mark.parametrize(
+    ("sep", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")]
+)
 def test_names_delimiters_and_decimal_commas(csv_file, header, sep, decimal):
     recording = read_recording(csv_file(table(header, sep=sep, decimal=decimal)))
     np.testing.assert_allclose(recording.latlon, [row[:2] for row in ROWS])
@@ -49,7 +59,14 @@ def test_names_delimiters_and_decimal_commas(csv_file, header, sep, decimal):
         lambda t: t.replace("\n", ",\n"),
         lambda t: t.replace("-91\n", '"-91"\n'),
     ],
-    ids=["byte-order mark", "Windows line ends", "old Mac line ends", "empty lines", "trailing delimiters", "quotes"],
+    ids=[
+        "byte-order mark",
+        "Windows line ends",
+        "old Mac line ends",
+        "empty lines",
+        "trailing delimiters",
+        "quotes",
+    ],
 )
 def test_harmless_differences_are_harmless(csv_file, wrap):
     recording = read_recording(csv_file(wrap(table())))
@@ -99,7 +116,8 @@ def test_filter_reads_only_the_lines_asked_for(csv_file):
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"), [("path_loss", "loss"), ("PathLoss_dB", "loss"), ("gain_db", "gain"), ("rx power", "power")]
+    ("name", "expected"),
+    [("path_loss", "loss"), ("PathLoss_dB", "loss"), ("gain_db", "gain"), ("rx power", "power")],
 )
 def test_quantity_follows_from_the_name(name, expected):
     assert level_quantity(name) == expected
@@ -123,7 +141,14 @@ def test_loss_becomes_a_gain_and_power_with_eirp_too(csv_file):
         ("x,y,rsrp\n0,0,-91\n", {"eirp_dbm": float("nan")}, "eirp_dbm must be"),
         ("x,y,rsrp\n0,0,-91\n", {"quantity": "dB"}, "'power', 'gain' or 'loss'"),
     ],
-    ids=["negative loss", "positive gain", "positive power", "gain with EIRP", "EIRP is NaN", "unknown quantity"],
+    ids=[
+        "negative loss",
+        "positive gain",
+        "positive power",
+        "gain with EIRP",
+        "EIRP is NaN",
+        "unknown quantity",
+    ],
 )
 def test_levels_with_the_wrong_sign_or_reference(csv_file, text, options, message):
     with pytest.raises(InputError, match=message):
@@ -226,12 +251,18 @@ def test_coordinate_reference_systems(csv_file):
         ("time_s", ("10", "12.5", "11"), [0.0, 2.5, 1.0]),
         ("time_ms", ("1000", "2500", "1000"), [0.0, 1.5, 0.0]),
         ("timestamp", ("1714564800000", "1714564801000", "1714564800500"), [0.0, 1.0, 0.5]),
-        ("timestamp", ("2024-05-01T12:00:00Z", "2024-05-01T12:00:01.5Z", "2024-05-01T14:00:03+02:00"), [0.0, 1.5, 3.0]),
+        (
+            "timestamp",
+            ("2024-05-01T12:00:00Z", "2024-05-01T12:00:01.5Z", "2024-05-01T14:00:03+02:00"),
+            [0.0, 1.5, 3.0],
+        ),
         ("time", ("noon", "later", "latest"), None),
     ],
 )
 def test_times(csv_file, column, times, expected):
-    path = csv_file(table(f"lat,lon,rsrp,{column}", [(*row, t) for row, t in zip(ROWS, times, strict=True)]))
+    path = csv_file(
+        table(f"lat,lon,rsrp,{column}", [(*row, t) for row, t in zip(ROWS, times, strict=True)])
+    )
     recording = read_recording(path)
     if expected is None:
         assert recording.time_s is None
@@ -255,7 +286,9 @@ def test_a_survey_of_our_own_is_read_with_its_noise_and_floor(csv_file):
 
 
 def test_taken_selects_in_every_column(csv_file):
-    recording = read_recording(csv_file(table("lat,lon,rsrp,time", [(*row, i) for i, row in enumerate(ROWS)])))
+    recording = read_recording(
+        csv_file(table("lat,lon,rsrp,time", [(*row, i) for i, row in enumerate(ROWS)]))
+    )
     part = recording.taken(recording.level_db < -95)
     assert part.time_s.tolist() == [1.0, 2.0]
     assert part.line.tolist() == [3, 4]

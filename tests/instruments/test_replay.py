@@ -1,4 +1,5 @@
-"""A recording can be flown over: readings only where recorded, and every recorded cell within reach of the others."""
+"""A recording can be flown over: readings only where recorded, and every recorded cell within reach
+of the others."""
 
 from __future__ import annotations
 
@@ -9,11 +10,17 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.flight.swarm import steps_between
 from skygain.grid import Grid
-from skygain.instruments import GriddedRecording, Recording, ReplayInstrument, replay_scenario, replay_truth
+from skygain.ground.errors import InputError
+from skygain.instruments import (
+    GriddedRecording,
+    Recording,
+    ReplayInstrument,
+    replay_scenario,
+    replay_truth,
+)
 from skygain.instruments.replay import _links
-from skygain.swarm import steps_between
 from skygain.testing import check_instrument
 
 GRID = Grid((30, 40), 4.0, (2.0, 2.0))
@@ -22,7 +29,9 @@ GRID = Grid((30, 40), 4.0, (2.0, 2.0))
 def recording_at(cells, grid: Grid = GRID) -> GriddedRecording:
     cells = np.asarray(cells)
     level = -80.0 - np.arange(len(cells))
-    return Recording(level, "gain", "walk.csv", xy_m=grid.xy_m(cells), noise_std_db=np.full(len(cells), 1.5)).on(grid)
+    return Recording(
+        level, "gain", "walk.csv", xy_m=grid.xy_m(cells), noise_std_db=np.full(len(cells), 1.5)
+    ).on(grid)
 
 
 def streets(seed: int, n: int = 60) -> GriddedRecording:
@@ -48,12 +57,18 @@ def test_answers_only_where_something_was_recorded():
 def test_truth_is_the_recording_and_nothing_else():
     gridded = streets(1)
     truth = replay_truth(gridded)
-    np.testing.assert_array_equal(np.isfinite(truth), ReplayInstrument(gridded).available(GRID.shape))
+    np.testing.assert_array_equal(
+        np.isfinite(truth), ReplayInstrument(gridded).available(GRID.shape)
+    )
     np.testing.assert_array_equal(truth[gridded.cell[:, 0], gridded.cell[:, 1]], gridded.level_db)
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 2**32), n=st.integers(1, 40), reach_m=st.sampled_from([0.0, 4.0, 8.0, 30.0, None]))
+@given(
+    seed=st.integers(0, 2**32),
+    n=st.integers(1, 40),
+    reach_m=st.sampled_from([0.0, 4.0, 8.0, 30.0, None]),
+)
 def test_on_open_ground_every_recorded_cell_can_be_flown_to(seed, n, reach_m):
     gridded = streets(seed, n)
     scenario = replay_scenario(gridded, reach_m=reach_m)
@@ -123,9 +138,15 @@ def test_two_uavs_can_pass_in_a_corridor():
 
 
 def test_scenario_carries_what_is_known():
-    scenario = replay_scenario(streets(2), uav_altitude_m=1.5, transmitter_m=(10.0, 20.0, 30.0), frequency_hz=3.6e9)
+    scenario = replay_scenario(
+        streets(2), uav_altitude_m=1.5, transmitter_m=(10.0, 20.0, 30.0), frequency_hz=3.6e9
+    )
     assert scenario.transmitter_m == (10.0, 20.0, 30.0)
-    assert (scenario.uav_altitude_m, scenario.prediction_altitude_m, scenario.frequency_hz) == (1.5, 1.5, 3.6e9)
+    assert (scenario.uav_altitude_m, scenario.prediction_altitude_m, scenario.frequency_hz) == (
+        1.5,
+        1.5,
+        3.6e9,
+    )
     assert scenario.city.name == "walk"
 
 

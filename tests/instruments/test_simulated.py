@@ -7,14 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.instruments import NoiseConfig, NoisyInstrument, PerfectInstrument
 from skygain.testing import check_instrument
 
 TRUTH = -80.0 - 0.37 * np.arange(15 * 20).reshape(15, 20)
 
 
-def noisy(config: NoiseConfig, seed: int = 0, truth: np.ndarray = TRUTH, **options) -> NoisyInstrument:
+def noisy(
+    config: NoiseConfig, seed: int = 0, truth: np.ndarray = TRUTH, **options
+) -> NoisyInstrument:
     return NoisyInstrument(truth, config, np.random.default_rng(seed), **options)
 
 
@@ -25,7 +27,9 @@ def everywhere(times: int = 1) -> np.ndarray:
 CONFIGS = [
     NoiseConfig(),
     NoiseConfig(std_db=3.0),
-    NoiseConfig(std_db=(0.5, 4.0), quantisation_db=1.0, floor_db=-150.0, gps_std_m=5.0, loss_probability=0.3),
+    NoiseConfig(
+        std_db=(0.5, 4.0), quantisation_db=1.0, floor_db=-150.0, gps_std_m=5.0, loss_probability=0.3
+    ),
     NoiseConfig(floor_db=-120.0),
 ]
 
@@ -82,7 +86,9 @@ def test_floor_censors_what_is_heard_below_it():
 
 
 def test_nothing_is_reported_below_the_floor_whatever_the_scale():
-    found = noisy(NoiseConfig(std_db=5.0, quantisation_db=7.0, floor_db=-121.3)).measure(everywhere(5))
+    found = noisy(NoiseConfig(std_db=5.0, quantisation_db=7.0, floor_db=-121.3)).measure(
+        everywhere(5)
+    )
     assert (found.gain_db >= -121.3).all()
     assert (found.gain_db[found.censored] == -121.3).all()
 
@@ -122,7 +128,9 @@ def test_all_readings_can_be_lost():
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(0, 30))
 def test_same_seed_same_bytes(seed, n):
-    config = NoiseConfig(std_db=(0.0, 5.0), quantisation_db=0.25, floor_db=-140, gps_std_m=6.0, loss_probability=0.2)
+    config = NoiseConfig(
+        std_db=(0.0, 5.0), quantisation_db=0.25, floor_db=-140, gps_std_m=6.0, loss_probability=0.2
+    )
     cells = np.random.default_rng(seed).integers((0, 0), TRUTH.shape, size=(n, 2))
     first, second = (noisy(config, seed).measure(cells, time_s=3.0) for _ in range(2))
     for name in ("cell", "gain_db", "noise_std_db", "uav", "time_s", "censored"):

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.fields.mixture_posterior import MixturePosterior
+from skygain.fields.residual_field import CorrelationModel, ResidualField
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
 from skygain.predictors.base import Belief
-from skygain.predictors.mixture_posterior import MixturePosterior
-from skygain.predictors.residual_field import CorrelationModel, ResidualField
 from skygain.scenario import Scenario
-from skygain.swarm import Swarm
 from skygain.testing.planners import check_planner, planner_scenarios
 
 
@@ -21,7 +21,9 @@ def test_keeps_the_planners_contract(field_predictor):
     check_planner(planner, field_predictor, settings=planner_scenarios()[2:8:2])
 
 
-def test_young_surveys_plan_more_often_where_readings_change_the_plan(field_predictor, variance_predictor):
+def test_young_surveys_plan_more_often_where_readings_change_the_plan(
+    field_predictor, variance_predictor
+):
     scenario = Scenario(City(Grid((20, 20), 4.0), np.zeros((20, 20), dtype=np.float32)))
     swarm = Swarm.deployed(scenario, [(3, 3), (10, 10)], 60)
     readings = Measurements.at(swarm.cells, [-90.0, -95.0])
@@ -32,7 +34,10 @@ def test_young_surveys_plan_more_often_where_readings_change_the_plan(field_pred
     assert young.commit_steps == 5
     swarm = swarm.advanced(young.paths[:, 1])
     assert planner.plan(swarm, belief, 59, rng).commit_steps == 10
-    assert planner.plan(swarm, field_predictor.begin(scenario).updated(readings), 59, rng).commit_steps == 15
+    assert (
+        planner.plan(swarm, field_predictor.begin(scenario).updated(readings), 59, rng).commit_steps
+        == 15
+    )
 
 
 class Disagreement(Belief):
@@ -47,7 +52,9 @@ class Disagreement(Belief):
     def posterior(self):
         rows, cols = self.scenario.grid.shape
         apart = np.where(np.arange(cols) > cols // 2, 20.0, 0.0) * np.ones((rows, 1))
-        residual = ResidualField.empty(CorrelationModel(nugget=0.9, far_share=0.0), (rows, cols), 4.0)
+        residual = ResidualField.empty(
+            CorrelationModel(nugget=0.9, far_share=0.0), (rows, cols), 4.0
+        )
         means = np.stack([-100 + apart, -100 - apart]).reshape(2, -1).astype(np.float32)
         stds = np.full((2, rows * cols), 3.0, dtype=np.float32)
         return MixturePosterior(
@@ -67,7 +74,9 @@ class Disagreement(Belief):
 def test_flies_to_where_the_models_disagree():
     scenario = Scenario(City(Grid((15, 31), 4.0), np.zeros((15, 31), dtype=np.float32)))
     swarm = Swarm.deployed(scenario, [(7, 12)], 60)
-    plan = create_planner("lookahead", horizon=16).plan(swarm, Disagreement(scenario), 60, np.random.default_rng(0))
+    plan = create_planner("lookahead", horizon=16).plan(
+        swarm, Disagreement(scenario), 60, np.random.default_rng(0)
+    )
     assert plan.paths[0, 4:8, 1].max() > 15
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.planners import create_planner
 from skygain.scenario import Scenario
-from skygain.swarm import Swarm
 from skygain.testing.planners import check_planner
 
 
@@ -23,7 +23,11 @@ def test_keeps_the_contract(variance_predictor):
 
 def test_repeats_the_last_move_four_times_in_five(rng):
     # far from the rim a move repeats with probability p + (1 − p)/4 = 0.85
-    paths = create_planner("random-waypoint").plan(open_swarm(4001, [[2000, 2000]], 20_000), None, 20_000, rng).paths
+    paths = (
+        create_planner("random-waypoint")
+        .plan(open_swarm(4001, [[2000, 2000]], 20_000), None, 20_000, rng)
+        .paths
+    )
     moves = np.diff(paths[0], axis=0)
     assert np.mean((moves[1:] == moves[:-1]).all(axis=1)) == pytest.approx(0.85, abs=0.01)
 

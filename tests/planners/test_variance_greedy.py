@@ -4,18 +4,20 @@ import numpy as np
 import pytest
 
 from skygain.city import City
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.planners import create_planner
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief
 from skygain.scenario import Scenario
-from skygain.swarm import Swarm
 from skygain.testing.planners import check_planner
 
 
 def test_keeps_the_contract(field_predictor, variance_predictor):
-    check_planner(create_planner("greedy-variance", start_steps=4, commit_steps=15), field_predictor)
+    check_planner(
+        create_planner("greedy-variance", start_steps=4, commit_steps=15), field_predictor
+    )
     check_planner(create_planner("greedy-variance"), variance_predictor)
 
 
@@ -24,7 +26,9 @@ def test_starts_at_random_then_moves_away_along_the_largest_variances(field_pred
     scenario = Scenario(City(Grid(free.shape, 4.0), np.zeros(free.shape, np.float32)))
     swarm = Swarm.deployed(scenario, [[15, 15]], 30)
     readings = np.array([(row, col) for row in range(0, 31, 2) for col in range(31) if col <= 18])
-    belief = field_predictor.begin(scenario).updated(Measurements.at(readings, np.full(len(readings), -100.0)))
+    belief = field_predictor.begin(scenario).updated(
+        Measurements.at(readings, np.full(len(readings), -100.0))
+    )
     planner = create_planner("greedy-variance", start_steps=4, commit_steps=9)
     first = planner.plan(swarm, belief, 30, np.random.default_rng(0))
     assert first.n_steps == first.commit_steps == 4
@@ -34,7 +38,9 @@ def test_starts_at_random_then_moves_away_along_the_largest_variances(field_pred
     assert plan.commit_steps == 9
     distance = np.abs(plan.paths[0] - swarm.cells[0]).sum(axis=1)
     away = int(np.argmax(distance))
-    assert (np.diff(distance[: away + 1]) == 1).all()  # G*: every move leads further, until there is none
+    assert (
+        np.diff(distance[: away + 1]) == 1
+    ).all()  # G*: every move leads further, until there is none
     assert plan.paths[0, 10:, 1].min() > 18  # the unknown is in the east
 
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.special import fresnel
 
 from skygain.city import City
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.propagation.diffraction import (
     EFFECTIVE_EARTH_RADIUS_M,
     bullington_loss_db,
@@ -36,7 +36,9 @@ def test_the_knife_edge_is_the_fresnel_integral_within_a_fraction_of_a_decibel()
 
 
 @pytest.mark.parametrize("top_m", [12.0, 20.0, 45.0, 90.0])
-def test_one_thin_edge_loses_what_the_half_plane_loses_plus_the_bullington_correction(top_m: float) -> None:
+def test_one_thin_edge_loses_what_the_half_plane_loses_plus_the_bullington_correction(
+    top_m: float,
+) -> None:
     profile = np.zeros(199)
     profile[79] = top_m
     d = 400.0
@@ -48,7 +50,8 @@ def test_one_thin_edge_loses_what_the_half_plane_loses_plus_the_bullington_corre
 
 
 def test_agrees_with_pycraf_over_random_profiles() -> None:
-    """The 50 % diffraction loss of pycraf's P.452-16 is Bullington's where a smooth Earth adds nothing."""
+    """The 50 % diffraction loss of pycraf's P.452-16 is Bullington's where a smooth Earth adds
+    nothing."""
     pathprof = pytest.importorskip("pycraf.pathprof")
     units = pytest.importorskip("astropy.units")
     rng = np.random.default_rng(5)
@@ -95,20 +98,28 @@ def test_a_higher_roof_on_the_path_never_helps(seed: int, higher: float) -> None
     raised[int(rng.integers(60))] += higher
     args = (250.0, 1.5, 10.0, WAVELENGTH_M, EFFECTIVE_EARTH_RADIUS_M)
     # A new horizon edge moves the equivalent one, so that a strict order needs a little slack.
-    assert bullington_loss_db(raised, *args) >= bullington_loss_db(profile, *args) - 1e-9 or raised.max() == profile.max()
+    assert (
+        bullington_loss_db(raised, *args) >= bullington_loss_db(profile, *args) - 1e-9
+        or raised.max() == profile.max()
+    )
 
 
 def test_nothing_in_the_way_is_free_space() -> None:
     city = city_of([])
     gain = over_rooftop_gain_db(city, [60.0, 60.0, 20.0], [25.0])[0, 0]
     y, x = np.meshgrid(city.grid.y_m, city.grid.x_m, indexing="ij")
-    assert gain == pytest.approx(free_space_gain_db(np.sqrt((x - 60) ** 2 + (y - 60) ** 2 + 25)), abs=1e-4)
+    assert gain == pytest.approx(
+        free_space_gain_db(np.sqrt((x - 60) ** 2 + (y - 60) ** 2 + 25)), abs=1e-4
+    )
 
 
 def test_a_map_is_the_loss_of_its_profiles() -> None:
     """One row of cells behind a wall, with profiles made by hand."""
     city = city_of([box(20, 0, 28, 120, 30.0)])
-    tx, altitude = np.array([10.3, 62.0, 1.5]), 10.0  # on the centre line of row 15, no point on a cell border
+    tx, altitude = (
+        np.array([10.3, 62.0, 1.5]),
+        10.0,
+    )  # on the centre line of row 15, no point on a cell border
     gain = over_rooftop_gain_db(city, tx, [altitude])[0, 0]
     for col in (9, 20, 29):
         d = city.grid.x_m[col] - tx[0]
@@ -126,14 +137,18 @@ def test_mirrored_city_mirrored_map() -> None:
     height[12, 5] = 0.0
     grid = Grid((25, 25), 4.0, (0.0, 0.0))
     gain = over_rooftop_gain_db(City(grid, height), [20.0, 48.0, 1.5], [10.0])[0, 0]
-    flipped = over_rooftop_gain_db(City(grid, height[:, ::-1]), [76.0, 48.0, 1.5], [10.0])[0, 0][:, ::-1]
+    flipped = over_rooftop_gain_db(City(grid, height[:, ::-1]), [76.0, 48.0, 1.5], [10.0])[0, 0][
+        :, ::-1
+    ]
     # Profiles that run exactly along cell borders may fall on either side.
     assert np.median(np.abs(gain - flipped)) < 1e-4
 
 
 def test_every_cell_is_finite_also_from_outside_the_map_and_right_above_the_transmitter() -> None:
     city = city_of([box(20, 20, 60, 60, 12.0)])
-    gain = over_rooftop_gain_db(city, [[-150.0, 40.0, 1.5], [90.0, 90.0, 1.5], [90.0, 90.0, 10.0]], [10.0, 30.0])
+    gain = over_rooftop_gain_db(
+        city, [[-150.0, 40.0, 1.5], [90.0, 90.0, 1.5], [90.0, 90.0, 10.0]], [10.0, 30.0]
+    )
     assert gain.shape == (3, 2, 30, 30)
     assert np.isfinite(gain).all()
     assert (gain < 0).all()
@@ -151,7 +166,9 @@ def test_every_cell_is_finite_also_from_outside_the_map_and_right_above_the_tran
         ([5.0, 5.0, 1.5], [10.0], 0.0),
     ],
 )
-def test_unusable_arguments_are_named(transmitter: list[float], altitude: list[float], frequency: float) -> None:
+def test_unusable_arguments_are_named(
+    transmitter: list[float], altitude: list[float], frequency: float
+) -> None:
     city = city_of([box(20, 20, 60, 60, 12.0)])
     with pytest.raises(InputError):
         over_rooftop_gain_db(city, transmitter, altitude, frequency_hz=frequency)

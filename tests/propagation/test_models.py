@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.propagation import PROPAGATION
 
 from .conftest import RAYS, box, city_of
@@ -39,5 +39,13 @@ def test_an_unknown_model_is_answered_with_the_names() -> None:
 
 
 def test_naming_the_models_loads_nothing_heavy() -> None:
-    code = "import sys, skygain.propagation; print([m for m in ('numba', 'mitsuba', 'drjit', 'scipy', 'shapely') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    code = (
+        "import sys, skygain.propagation; print([m for m in ('numba', 'mitsuba', 'drjit', 'scipy', "
+        "'shapely') if m in sys.modules])"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )

@@ -9,7 +9,9 @@ from .conftest import needs_rays
 
 
 @needs_rays
-def test_the_boundary_of_a_reflection_tells_right_diffraction_from_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_boundary_of_a_reflection_tells_right_diffraction_from_wrong(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     traced, expected = reflection_boundary_db()
     assert traced == pytest.approx(expected, abs=0.5)
 
@@ -17,6 +19,10 @@ def test_the_boundary_of_a_reflection_tells_right_diffraction_from_wrong(monkeyp
     import sionna.rt.radio_materials.radio_material as material
 
     right = material.itu_coefficients_single_layer_slab
-    monkeypatch.setattr(material, "itu_coefficients_single_layer_slab", lambda c, eta, d, w: right(c, eta, d, 2 * np.pi / w))
+    monkeypatch.setattr(
+        material,
+        "itu_coefficients_single_layer_slab",
+        lambda c, eta, d, w: right(c, eta, d, 2 * np.pi / w),
+    )
     wrong, _ = reflection_boundary_db()
     assert wrong < expected - 15

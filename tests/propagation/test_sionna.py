@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 from skygain.propagation import sionna
 from skygain.propagation.diffraction import free_space_gain_db, over_rooftop_gain_db
 from skygain.propagation.sionna import GUARD_DB, trace_gain_db
@@ -20,7 +20,9 @@ TRANSMITTER = (60.0, 60.0, 1.5)
 SAMPLES = 200_000
 
 
-def friis_mean_db(city: City, transmitter: tuple[float, float, float], altitude: float) -> np.ndarray:
+def friis_mean_db(
+    city: City, transmitter: tuple[float, float, float], altitude: float
+) -> np.ndarray:
     """Free-space gain averaged over each cell's area, as the solver averages."""
     offsets = (np.arange(16) + 0.5) / 16 - 0.5
     y, x = np.meshgrid(city.grid.y_m, city.grid.x_m, indexing="ij")
@@ -36,7 +38,9 @@ def two_boxes() -> City:
 
 
 def test_the_direct_path_is_friis_averaged_over_the_cell(two_boxes: City) -> None:
-    traced = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, max_reflections=0, diffraction=False)
+    traced = trace_gain_db(
+        two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, max_reflections=0, diffraction=False
+    )
     sight = traced.ray_reached[0, 0]
     error = (traced.gain_db[0, 0] - friis_mean_db(two_boxes, TRANSMITTER, 10.0))[8:22, 10:20]
     assert sight[8:22, 10:20].all()
@@ -47,7 +51,9 @@ def test_the_direct_path_is_friis_averaged_over_the_cell(two_boxes: City) -> Non
 
 
 def test_reflections_and_diffraction_only_add(two_boxes: City) -> None:
-    direct = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, max_reflections=0, diffraction=False)
+    direct = trace_gain_db(
+        two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, max_reflections=0, diffraction=False
+    )
     reflected = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, diffraction=False)
     everything = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES)
     assert (reflected.gain_db >= direct.gain_db - 1e-4).all()
@@ -57,7 +63,9 @@ def test_reflections_and_diffraction_only_add(two_boxes: City) -> None:
 
 
 def test_a_symmetric_scene_gives_a_symmetric_map(two_boxes: City) -> None:
-    gain = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, diffraction=False).gain_db[0, 0]
+    gain = trace_gain_db(
+        two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, diffraction=False
+    ).gain_db[0, 0]
     both = np.isfinite(gain) & np.isfinite(gain[:, ::-1])
     difference = gain[both] - gain[:, ::-1][both]
     assert abs(difference.mean()) < 0.05
@@ -65,7 +73,9 @@ def test_a_symmetric_scene_gives_a_symmetric_map(two_boxes: City) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(two_boxes: City) -> None:
-    first, again, other = (trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, seed=s) for s in (4, 4, 5))
+    first, again, other = (
+        trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES, seed=s) for s in (4, 4, 5)
+    )
     assert first.gain_db.tobytes() == again.gain_db.tobytes()
     assert first.gain_db.tobytes() != other.gain_db.tobytes()
     assert first.settings.seed == 4
@@ -74,7 +84,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(two_boxes:
 def test_several_transmitters_in_one_call_agree_with_one_call_each(two_boxes: City) -> None:
     positions = [TRANSMITTER, (60.0, 20.0, 1.5), (10.0, 100.0, 30.0)]
     alone = trace_gain_db(two_boxes, positions, [10.0, 30.0], samples=SAMPLES)
-    shared = trace_gain_db(two_boxes, positions, [10.0, 30.0], samples=SAMPLES, transmitters_per_call=3)
+    shared = trace_gain_db(
+        two_boxes, positions, [10.0, 30.0], samples=SAMPLES, transmitters_per_call=3
+    )
     assert alone.gain_db.shape == shared.gain_db.shape == (3, 2, 30, 30)
     both = alone.ray_reached & shared.ray_reached
     difference = alone.gain_db[both] - shared.gain_db[both]
@@ -85,7 +97,10 @@ def test_several_transmitters_in_one_call_agree_with_one_call_each(two_boxes: Ci
 
 def test_a_georeferenced_city_far_from_the_origin_loses_no_precision(two_boxes: City) -> None:
     far = city_of(
-        [box(500_020, 4_000_040, 500_040, 4_000_080, 25.0), box(500_080, 4_000_040, 500_100, 4_000_080, 25.0)],
+        [
+            box(500_020, 4_000_040, 500_040, 4_000_080, 25.0),
+            box(500_080, 4_000_040, 500_100, 4_000_080, 25.0),
+        ],
         origin_m=(500_002.0, 4_000_002.0),
     )
     near = trace_gain_db(two_boxes, TRANSMITTER, [10.0], samples=SAMPLES)
@@ -105,7 +120,8 @@ def test_an_empty_city_has_sight_and_one_reflection_everywhere() -> None:
     traced = trace_gain_db(city, TRANSMITTER, [10.0], samples=SAMPLES)
     excess = (traced.gain_db[0, 0] - friis_mean_db(city, TRANSMITTER, 10.0))[8:22, 8:22]
     assert traced.ray_reached.all()
-    # The ground adds its reflected power without its phase: at most doubled, and hardly anything where the ray falls steeply.
+    # The ground adds its reflected power without its phase: at most doubled, and hardly anything
+    # where the ray falls steeply.
     assert excess.min() > -0.3
     assert 0.05 < excess.mean() < 3.0
     assert excess.max() < 3.3
@@ -126,7 +142,8 @@ def test_the_guard_cuts_what_is_above_and_counts_it_outdoors(two_boxes: City) ->
 
 
 def test_a_roof_edge_that_nearly_lies_in_the_plane_causes_no_bursts() -> None:
-    """Left where it is, the roof of this wall throws single cells 14 to 56 dB above free space (benchmarks/ray_excess.py)."""
+    """Left where it is, the roof of this wall throws single cells 14 to 56 dB above free space
+    (benchmarks/ray_excess.py)."""
     city = city_of([box(20, 0, 460, 20, 10.26)], shape=(121, 121))
     transmitter = (243.0, 40.0, 1.5)
     far = np.broadcast_to(city.grid.y_m[:, None] > 60, city.grid.shape)
@@ -135,7 +152,15 @@ def test_a_roof_edge_that_nearly_lies_in_the_plane_causes_no_bursts() -> None:
         power = [
             10
             ** (
-                trace_gain_db(city, transmitter, [10.0], samples=1_000_000, seed=seed, max_reflections=1, diffraction=d).gain_db
+                trace_gain_db(
+                    city,
+                    transmitter,
+                    [10.0],
+                    samples=1_000_000,
+                    seed=seed,
+                    max_reflections=1,
+                    diffraction=d,
+                ).gain_db
                 / 10
             )
             for d in (True, False)
@@ -145,8 +170,11 @@ def test_a_roof_edge_that_nearly_lies_in_the_plane_causes_no_bursts() -> None:
 
 
 def test_roofs_are_kept_away_from_the_cells_by_less_than_a_storey() -> None:
-    """The error of direction that makes it necessary grows with the map, so the distance does too, up to a bound."""
-    small, protocol, large = (sionna._clearance_m(city_of([], shape=(n, n))) for n in (30, 121, 1000))
+    """The error of direction that makes it necessary grows with the map, so the distance does too,
+    up to a bound."""
+    small, protocol, large = (
+        sionna._clearance_m(city_of([], shape=(n, n))) for n in (30, 121, 1000)
+    )
     assert 0.03 < small < protocol < 0.8
     assert large == sionna.LARGEST_CLEARANCE_M
 
@@ -165,7 +193,14 @@ def test_truth_is_the_stronger_of_both_and_finite_everywhere(two_boxes: City) ->
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"samples": 0}, {"seed": -1}, {"max_reflections": 1.5}, {"threads": 0}, {"frequency_hz": 1e8}, {"transmitters_per_call": 0}],
+    [
+        {"samples": 0},
+        {"seed": -1},
+        {"max_reflections": 1.5},
+        {"threads": 0},
+        {"frequency_hz": 1e8},
+        {"transmitters_per_call": 0},
+    ],
 )
 def test_unusable_settings_are_named(two_boxes: City, wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):

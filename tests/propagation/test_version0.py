@@ -18,16 +18,21 @@ from .conftest import box, needs_rays
 @needs_rays
 def test_a_link_of_version_0_is_reproduced_up_to_ray_noise(shared_data: Path) -> None:
     xr, zarr = pytest.importorskip("xarray"), pytest.importorskip("zarr")
-    data = xr.open_zarr(zarr.storage.ZipStore(shared_data / "manhattan-v0.zarr.zip", mode="r"), consolidated=False)
+    data = xr.open_zarr(
+        zarr.storage.ZipStore(shared_data / "manhattan-v0.zarr.zip", mode="r"), consolidated=False
+    )
     boxes = data.building[0].values.astype(float)
     buildings = tuple(box(*b) for b in boxes[np.isfinite(boxes[:, 0])])
-    city = City(Grid((121, 121), 4.0, (3.0, 3.0)), data.height_m[0].values.astype(np.float32), buildings)
+    city = City(
+        Grid((121, 121), 4.0, (3.0, 3.0)), data.height_m[0].values.astype(np.float32), buildings
+    )
     transmitter, outdoor = data.tx_m[0].values, ~city.obstructed(10.0)
     stored, by_ray = data.gain_db[0, 0].values.astype(float), data.ray_traced[0, 0].values
     truth = trace_truth(city, transmitter, [10.0], samples=3_000_000)
     gap = np.abs(truth.gain_db[0, 0] - stored)
     assert np.median(gap[outdoor]) < 0.15
-    # Whether a ray reaches a cell of the deep shadow is a matter of chance; nine in ten cells agree on it.
+    # Whether a ray reaches a cell of the deep shadow is a matter of chance; nine in ten cells agree
+    # on it.
     same = outdoor & (truth.ray_traced[0, 0] == by_ray)
     assert same.sum() > 0.88 * outdoor.sum()
     assert np.percentile(gap[same], 90) < 2.0

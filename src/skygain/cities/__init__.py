@@ -1,7 +1,8 @@
-"""Where cities come from: a random generator, height rasters, building footprints, and the scenes of Sionna RT.
+"""Where cities come from: a random generator, height rasters, building footprints, and the scenes
+of Sionna RT.
 
-`open_city` takes any of them by name. Readers of files need the extra ``geo`` and scenes the extra ``raytrace``; both are loaded
-only when used.
+`open_city` takes any of them by name. Readers of files need the extra ``geo`` and scenes the extra
+``raytrace``; both are loaded only when used.
 """
 
 from __future__ import annotations
@@ -18,6 +19,6 @@ __all__ = [
 ]
 
 from skygain.cities.crops import central_crop, random_crop
-from skygain.cities.framing import Reading
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
 from skygain.cities.opening import open_city, read_city
+from skygain.frames import Reading

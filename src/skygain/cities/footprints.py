@@ -1,14 +1,17 @@
-"""Cities from building footprints: GeoJSON, GeoPackage, Shapefile and OpenStreetMap (.osm, .osm.pbf).
+"""Cities from building footprints: GeoJSON, GeoPackage, Shapefile and OpenStreetMap (.osm,
+.osm.pbf).
 
-Polygons become prisms. Roof shapes are ignored: a building has one height, that of its highest point, as OpenStreetMap's
-``height`` is defined. Three rules need saying:
+Polygons become prisms. Roof shapes are ignored: a building has one height, that of its highest
+point, as OpenStreetMap's ``height`` is defined. Three rules need saying:
 
-- *Parts.* Where polygons tagged ``building:part`` lie on a building, they count and the building's own outline does not: the
-  outline keeps its height only where no part covers it, and goes entirely if less than a tenth is left.
-- *Missing heights.* ``height`` counts before ``building:levels`` (3 m each); a part without either takes its building's
-  height; all others get a default, and how many did is counted.
-- *Overhangs.* The raster has one height per cell, and UAVs are kept out of cells by it. A cell under a bridge or an overhanging
-  part therefore has the height of its top, although the street is open beneath. The polygons keep their base, so rays do pass.
+- *Parts.* Where polygons tagged ``building:part`` lie on a building, they count and the building's
+  own outline does not: the outline keeps its height only where no part covers it, and goes entirely
+  if less than a tenth is left.
+- *Missing heights.* ``height`` counts before ``building:levels`` (3 m each); a part without either
+  takes its building's height; all others get a default, and how many did is counted.
+- *Overhangs.* The raster has one height per cell, and UAVs are kept out of cells by it. A cell
+  under a bridge or an overhanging part therefore has the height of its top, although the street is
+  open beneath. The polygons keep their base, so rays do pass.
 """
 
 from __future__ import annotations
@@ -25,7 +28,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.framing import (
+from skygain.cities.tags import LEVEL_M, BuildingTags, read_tags
+from skygain.cities.vector import VectorLayer, open_layer
+from skygain.city import Building, City
+from skygain.frames import (
     Bounds,
     Reading,
     box_in_metres,
@@ -37,11 +43,8 @@ from skygain.cities.framing import (
     metric_crs,
     transformed_bounds,
 )
-from skygain.cities.tags import LEVEL_M, BuildingTags, read_tags
-from skygain.cities.vector import VectorLayer, open_layer
-from skygain.city import Building, City
-from skygain.errors import InputError, require
 from skygain.grid import Grid
+from skygain.ground.errors import InputError, require
 
 DEFAULT_HEIGHT_M = 3 * LEVEL_M
 """height of a building for which the file gives none"""
@@ -66,7 +69,9 @@ def footprints_city(
     default_height_m: float = DEFAULT_HEIGHT_M,
 ) -> City:
     """The city of `read_footprints`, without the account of what was assumed."""
-    return read_footprints(path, spacing_m=spacing_m, crs=crs, box=box, layer=layer, default_height_m=default_height_m).city
+    return read_footprints(
+        path, spacing_m=spacing_m, crs=crs, box=box, layer=layer, default_height_m=default_height_m
+    ).city
 
 
 def read_footprints(
@@ -80,37 +85,45 @@ def read_footprints(
 ) -> Reading:
     """Read building footprints.
 
-    If any polygon of the file is tagged ``building`` or ``building:part``, only such polygons are buildings; else all are.
+    If any polygon of the file is tagged ``building`` or ``building:part``, only such polygons are
+    buildings; else all are.
 
     Args:
         path: the file; its ending says what it is (see `skygain.cities.vector.SUFFIXES`).
         spacing_m: side of a cell.
-        crs: coordinate reference system of the file's coordinates, against what the file says; ``"local"`` for plain metres.
-        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's projection; everything when
-            left out.
+        crs: coordinate reference system of the file's coordinates, against what the file says;
+            ``"local"`` for plain metres.
+        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's
+            projection; everything when left out.
         layer: which layer, where the file has several with polygons.
         default_height_m: height of a building without one.
 
     Returns:
-        The city with its polygons, in the file's projection or, if that is none in true metres, in UTM.
+        The city with its polygons, in the file's projection or, if that is none in true metres, in
+        UTM.
 
     Raises:
-        InputError: the file is unreadable, has no building polygons (in the box), no coordinate reference system, or coordinates
-            that do not fit it.
+        InputError: the file is unreadable, has no building polygons (in the box), no coordinate
+            reference system, or coordinates that do not fit it.
     """
     path = existing_file(path)
     if not (math.isfinite(default_height_m) and default_height_m > 0):
-        raise InputError(f"default_height_m must be a positive number of metres, got {default_height_m}")
+        raise InputError(
+            f"default_height_m must be a positive number of metres, got {default_height_m}"
+        )
     try:
         return _read(path, spacing_m, crs, box, layer, default_height_m)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     except require("shapely", "geo").errors.GEOSException as error:
-        raise InputError(f"{path.name}: the polygons cannot be mended ({error}); repair them in a GIS first") from error
+        raise InputError(
+            f"{path.name}: the polygons cannot be mended ({error}); repair them in a GIS first"
+        ) from error
 
 
 def rasterised(buildings: Sequence[Building], grid: Grid) -> NDArray[np.float32]:
-    """``[row, col]`` height of the highest building over each cell's centre, 0 where there is none."""
+    """``[row, col]`` height of the highest building over each cell's centre, 0 where there is
+    none."""
     features = require("rasterio.features", "geo")
     rasterio = require("rasterio", "geo")
     shapely = require("shapely", "geo")
@@ -128,7 +141,12 @@ def rasterised(buildings: Sequence[Building], grid: Grid) -> NDArray[np.float32]
 
 
 def _read(
-    path: Path, spacing_m: float, crs: str | None, box: Bounds | None, layer: str | None, default_height_m: float
+    path: Path,
+    spacing_m: float,
+    crs: str | None,
+    box: Bounds | None,
+    layer: str | None,
+    default_height_m: float,
 ) -> Reading:
     source = open_layer(path, layer, crs)
     target, bounds, window = _frame(source.crs, box)
@@ -141,26 +159,44 @@ def _read(
         target = metric_crs(source.crs, _bounds(geometries))
     polygons, tags = _polygons(_projected(geometries, source.crs, target), tags, counts)
     if not len(polygons):
-        found = "; ".join(f"{count} {what}" for what, count in sorted(counts.items()) if count) or "nothing at all"
-        raise InputError(f"no building polygons{' in the box' if box else ''}, found {found}; expected polygons with an area")
+        found = (
+            "; ".join(f"{count} {what}" for what, count in sorted(counts.items()) if count)
+            or "nothing at all"
+        )
+        raise InputError(
+            f"no building polygons{' in the box' if box else ''}, found {found}; expected polygons "
+            "with an area"
+        )
     if bounds is None:
         data_m = _bounds(polygons)
         bounds = _outward(data_m, spacing_m) if box is None else box_in_metres(box, target)
         if box is not None:
             check_overlap(bounds, data_m, box, target)
     grid = grid_over(bounds, spacing_m, target)
-    polygons, tags = _meeting(*_with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m)
+    polygons, tags = _meeting(
+        *_with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m
+    )
     if not len(polygons):
         raise InputError("no building polygons in the box; choose a box that has some")
     buildings = _prisms(polygons, tags, default_height_m, counts)
-    city = City(grid=grid, height_m=rasterised(buildings, grid), buildings=buildings, name=city_name(path))
-    return Reading(city, {"buildings": len(buildings), **{what: count for what, count in sorted(counts.items()) if count}})
+    city = City(
+        grid=grid, height_m=rasterised(buildings, grid), buildings=buildings, name=city_name(path)
+    )
+    return Reading(
+        city,
+        {
+            "buildings": len(buildings),
+            **{what: count for what, count in sorted(counts.items()) if count},
+        },
+    )
 
 
 def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | None, Bounds | None]:
-    """Projection of the map, its bounds in metres, and the rectangle of the file's coordinates to read for it.
+    """Projection of the map, its bounds in metres, and the rectangle of the file's coordinates to
+    read for it.
 
-    All are ``None`` where they follow from the data: without a box, or with a box in the metres of a UTM zone yet to be found.
+    All are ``None`` where they follow from the data: without a box, or with a box in the metres of
+    a UTM zone yet to be found.
     """
     if box is None:
         return None, None, None
@@ -201,14 +237,17 @@ def _selected(
     return geometries[kept], [tags[i] for i in kept]
 
 
-def _projected(geometries: NDArray[np.object_], own: Any | None, target: Any | None) -> NDArray[np.object_]:
+def _projected(
+    geometries: NDArray[np.object_], own: Any | None, target: Any | None
+) -> NDArray[np.object_]:
     if own is None or target is None or own == target:
         return geometries
     shapely = require("shapely", "geo")
     pyproj = require("pyproj", "geo")
     transformer = pyproj.Transformer.from_crs(own, target, always_xy=True)
     moved: NDArray[np.object_] = shapely.transform(
-        geometries, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1], errcheck=False))
+        geometries,
+        lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1], errcheck=False)),
     )
     return moved
 
@@ -221,13 +260,19 @@ def _polygons(
     finite = _placed(geometries)
     geometries = geometries.copy()
     broken = finite & ~shapely.is_valid(geometries)
-    geometries[broken] = shapely.make_valid(geometries[broken], method="structure", keep_collapsed=False)
+    geometries[broken] = shapely.make_valid(
+        geometries[broken], method="structure", keep_collapsed=False
+    )
     geometries[~finite] = None
     counts["polygons mended"] += int(broken.sum())
     parts, owner = shapely.get_parts(geometries, return_index=True)
-    polygons, within = shapely.get_parts(parts, return_index=True)  # a collection may hold multi-polygons
+    polygons, within = shapely.get_parts(
+        parts, return_index=True
+    )  # a collection may hold multi-polygons
     owner = owner[within]
-    good = (shapely.get_type_id(polygons) == shapely.GeometryType.POLYGON) & (shapely.area(polygons) > 0)
+    good = (shapely.get_type_id(polygons) == shapely.GeometryType.POLYGON) & (
+        shapely.area(polygons) > 0
+    )
     counts["without a polygon, left out"] += len(geometries) - len(np.unique(owner[good]))
     return shapely.orient_polygons(polygons[good]), [tags[i] for i in owner[good]]
 
@@ -249,13 +294,22 @@ def _with_parts(
     for i in np.flatnonzero(~is_part):
         outline = polygons[i]
         near = parts[np.sort(tree.query(outline, predicate="intersects"))]
-        own = near[shapely.area(shapely.intersection(polygons[near], outline)) > 0.5 * shapely.area(polygons[near])]
+        own = near[
+            shapely.area(shapely.intersection(polygons[near], outline))
+            > 0.5 * shapely.area(polygons[near])
+        ]
         pieces = [outline]
         if len(own):
             left = shapely.difference(outline, shapely.union_all(polygons[own]))
             replaced = shapely.area(left) < (1 - _COVERED) * shapely.area(outline)
-            counts["outlines replaced by their parts" if replaced else "outlines cut by their parts"] += 1
-            pieces = [] if replaced else [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and p.area > 0]
+            counts[
+                "outlines replaced by their parts" if replaced else "outlines cut by their parts"
+            ] += 1
+            pieces = (
+                []
+                if replaced
+                else [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and p.area > 0]
+            )
             for j in own:
                 if part_tags[int(j)].height_m is None:
                     part_tags[int(j)] = replace(part_tags[int(j)], height_m=tags[i].height_m)
@@ -265,11 +319,16 @@ def _with_parts(
 
 
 def _prisms(
-    polygons: NDArray[np.object_], tags: list[BuildingTags], default_height_m: float, counts: Counter[str]
+    polygons: NDArray[np.object_],
+    tags: list[BuildingTags],
+    default_height_m: float,
+    counts: Counter[str],
 ) -> tuple[Building, ...]:
     shapely = require("shapely", "geo")
     found = []
-    for polygon, tag in zip(shapely.orient_polygons(shapely.remove_repeated_points(polygons)), tags, strict=True):
+    for polygon, tag in zip(
+        shapely.orient_polygons(shapely.remove_repeated_points(polygons)), tags, strict=True
+    ):
         height, base = tag.height_m, tag.base_m
         counts["heights from levels"] += tag.from_levels
         counts["heights or levels not understood"] += tag.misread
@@ -280,7 +339,14 @@ def _prisms(
             base = 0.0
             counts["undersides above the top, taken as the ground"] += 1
         rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
-        found.append(Building(footprint_m=rings[0], height_m=float(height), base_m=float(base), holes_m=tuple(rings[1:])))
+        found.append(
+            Building(
+                footprint_m=rings[0],
+                height_m=float(height),
+                base_m=float(base),
+                holes_m=tuple(rings[1:]),
+            )
+        )
     return tuple(found)
 
 
@@ -301,9 +367,12 @@ def _grown(bounds_m: Bounds) -> Bounds:
 
 
 def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
-    """The bounds moved outwards to multiples of the spacing, so that extracts of one city share their cells."""
+    """The bounds moved outwards to multiples of the spacing, so that extracts of one city share
+    their cells."""
     if not (math.isfinite(spacing_m) and spacing_m > 0):
-        raise InputError(f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual")
+        raise InputError(
+            f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
+        )
     west, south, east, north = bounds_m
     low = np.floor(np.array([west, south]) / spacing_m) * spacing_m
     high = np.ceil(np.array([east, north]) / spacing_m) * spacing_m
@@ -311,11 +380,15 @@ def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
 
 
 def _bounds(geometries: NDArray[np.object_]) -> Bounds:
-    west, south, east, north = (float(v) for v in require("shapely", "geo").total_bounds(geometries))
+    west, south, east, north = (
+        float(v) for v in require("shapely", "geo").total_bounds(geometries)
+    )
     return west, south, east, north
 
 
 def _placed(geometries: NDArray[np.object_]) -> NDArray[np.bool_]:
     """Which geometries exist and have coordinates that can be some place on Earth, in any unit."""
-    bounds: NDArray[np.float64] = require("shapely", "geo").bounds(geometries)  # [geometry, edge], NaN for none
+    bounds: NDArray[np.float64] = require("shapely", "geo").bounds(
+        geometries
+    )  # [geometry, edge], NaN for none
     return np.all(np.abs(bounds) < _FARTHEST, axis=1)

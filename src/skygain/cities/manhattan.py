@@ -1,12 +1,14 @@
 """Random Manhattan-like cities: the training and test world of the evaluation protocol.
 
-A square is divided into 5 x 5 blocks of random widths and lengths with streets between them. A block is either an open square
-or is divided into equal lots; a lot is either open or carries one rectangular building of random size, position and height.
-Everything follows from one seed, so a city never has to be stored to be used again.
+A square is divided into 5 x 5 blocks of random widths and lengths with streets between them. A
+block is either an open square or is divided into equal lots; a lot is either open or carries one
+rectangular building of random size, position and height. Everything follows from one seed, so a
+city never has to be stored to be used again.
 
-All corners and heights are odd multiples of 1/8 m. They are therefore exact in single precision (heights in half precision
-too), so a stored city is the generated one bit by bit, and no wall runs through a cell centre and no roof lies at a flight
-altitude of whole metres, where "inside" would be a matter of rounding.
+All corners and heights are odd multiples of 1/8 m. They are therefore exact in single precision
+(heights in half precision too), so a stored city is the generated one bit by bit, and no wall runs
+through a cell centre and no roof lies at a flight altitude of whole metres, where "inside" would be
+a matter of rounding.
 """
 
 from __future__ import annotations
@@ -19,10 +21,10 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.cities.framing import MAX_CELLS
 from skygain.city import Building, City
-from skygain.errors import InputError
+from skygain.frames import MAX_CELLS
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 _STREAM = 486
 """sets the stream of city seed 7 apart from that of any other thing seeded with 7"""
@@ -39,12 +41,13 @@ class ManhattanConfig:
     extent_m: float = 486.0
     """side of the square"""
     spacing_m: float = 4.0
-    """side of a cell; as many whole cells as fit are centred in the square (121 x 121, the first centre at 3 m)"""
+    """side of a cell; as many whole cells as fit are centred in the square (121 x 121, the first
+    centre at 3 m)"""
     blocks: int = 5
     """blocks per side"""
     block_variation: float = 0.3
-    """the widths of a row of blocks, each with half a street on either side, are in proportion to numbers drawn uniformly from
-    1 - variation to 1 + variation; lengths likewise"""
+    """the widths of a row of blocks, each with half a street on either side, are in proportion to
+    numbers drawn uniformly from 1 - variation to 1 + variation; lengths likewise"""
     street_width_m: float = 12.0
     """clear width between two blocks; half of it also runs around the square"""
     max_lots: int = 3
@@ -54,26 +57,39 @@ class ManhattanConfig:
     open_lot_share: float = 0.1
     """probability that a lot of a built block stays open"""
     building_share: tuple[float, float] = (0.58, 0.95)
-    """a building's width is a uniform share of its lot's width, between these two; its length likewise, independently"""
+    """a building's width is a uniform share of its lot's width, between these two; its length
+    likewise, independently"""
     height_range_m: tuple[float, float] = (8.0, 48.0)
     """heights are uniform between these two"""
 
     def __post_init__(self) -> None:
         low, high = self.building_share
         floor, roof = self.height_range_m
-        lot = self.extent_m / self.blocks * (1 - self.block_variation) / (1 + self.block_variation) if self.blocks >= 1 else 0.0
+        lot = (
+            self.extent_m / self.blocks * (1 - self.block_variation) / (1 + self.block_variation)
+            if self.blocks >= 1
+            else 0.0
+        )
         lot = (lot - self.street_width_m) / max(self.max_lots, 1)
         demands = {
-            "spacing_m must be positive and at most extent_m": 0 < self.spacing_m <= self.extent_m < np.inf,
-            f"the square must have at most {MAX_CELLS:,} cells": self.extent_m**2 <= MAX_CELLS * self.spacing_m**2,
+            "spacing_m must be positive and at most extent_m": 0
+            < self.spacing_m
+            <= self.extent_m
+            < np.inf,
+            f"the square must have at most {MAX_CELLS:,} cells": self.extent_m**2
+            <= MAX_CELLS * self.spacing_m**2,
             "blocks and max_lots must be at least 1": self.blocks >= 1 and self.max_lots >= 1,
             "block_variation must be at least 0 and below 1": 0 <= self.block_variation < 1,
             "street_width_m must not be negative": self.street_width_m >= 0,
-            "open_block_share and open_lot_share must lie in [0, 1]": 0 <= self.open_block_share <= 1
+            "open_block_share and open_lot_share must lie in [0, 1]": 0
+            <= self.open_block_share
+            <= 1
             and 0 <= self.open_lot_share <= 1,
             "building_share must be two numbers 0 < low <= high <= 1": 0 < low <= high <= 1,
             "height_range_m must be two numbers 0 < low <= high": 0 < floor <= roof < np.inf,
-            "the narrowest building must be 1 m or wider; take fewer blocks or lots, or narrower streets": lot * low >= 1.0,
+            "buildings must be 1 m wide or more; take fewer blocks or lots, narrower streets": lot
+            * low
+            >= 1.0,
         }
         for demand, met in demands.items():
             if not met:
@@ -84,12 +100,14 @@ def manhattan_city(seed: int | np.random.Generator, config: ManhattanConfig | No
     """Draw a city.
 
     Args:
-        seed: a non-negative integer, which alone decides the city (named ``"manhattan-<seed>"``), or a generator to draw from.
+        seed: a non-negative integer, which alone decides the city (named ``"manhattan-<seed>"``),
+            or a generator to draw from.
         config: how to draw; the protocol's cities when left out.
 
     Returns:
-        A city in a local frame whose south-west corner is (0, 0) metres, with its buildings as rectangles ordered by block and
-        lot. A cell has the height of the building its centre lies in.
+        A city in a local frame whose south-west corner is (0, 0) metres, with its buildings as
+        rectangles ordered by block and lot. A cell has the height of the building its centre lies
+        in.
 
     Raises:
         InputError: the seed is negative.
@@ -115,7 +133,10 @@ def manhattan_city(seed: int | np.random.Generator, config: ManhattanConfig | No
         cols = slice(*np.searchsorted(grid.x_m, [west, east]))
         height[rows, cols] = roof
     buildings = tuple(
-        Building(footprint_m=np.array([[west, south], [east, south], [east, north], [west, north]]), height_m=roof)
+        Building(
+            footprint_m=np.array([[west, south], [east, south], [east, north], [west, north]]),
+            height_m=roof,
+        )
         for west, south, east, north, roof in rectangles
     )
     return City(grid=grid, height_m=height, buildings=buildings, name=name)
@@ -126,8 +147,9 @@ def transmitter_sites(
 ) -> NDArray[np.float64]:
     """Transmitter positions on a square lattice in the middle of the map, without those indoors.
 
-    A position is dropped if it lies in a building or closer than ``clearance_m`` to its wall, or in a cell whose centre is built
-    up. On a protocol city the lattice has 25 positions at 48.6, 145.8, 243, 340.2 and 437.4 m in x and in y.
+    A position is dropped if it lies in a building or closer than ``clearance_m`` to its wall, or in
+    a cell whose centre is built up. On a protocol city the lattice has 25 positions at 48.6, 145.8,
+    243, 340.2 and 437.4 m in x and in y.
 
     Returns:
         ``[site, (x, y, z)]`` in metres, ordered by y and then by x.
@@ -146,7 +168,9 @@ def transmitter_sites(
     return sites[~indoors]
 
 
-def _rectangles(rng: np.random.Generator, config: ManhattanConfig) -> list[tuple[float, float, float, float, float]]:
+def _rectangles(
+    rng: np.random.Generator, config: ManhattanConfig
+) -> list[tuple[float, float, float, float, float]]:
     """(west, south, east, north, height) of every building."""
     columns, rows = _block_spans(rng, config), _block_spans(rng, config)
     found = []
@@ -169,10 +193,14 @@ def _block_spans(rng: np.random.Generator, config: ManhattanConfig) -> list[tupl
     weights = rng.uniform(1 - config.block_variation, 1 + config.block_variation, config.blocks)
     edges = np.concatenate([[0.0], np.cumsum(weights / weights.sum()) * config.extent_m])
     half = config.street_width_m / 2
-    return [(float(_snapped(low + half)), float(_snapped(high - half))) for low, high in pairwise(edges)]
+    return [
+        (float(_snapped(low + half)), float(_snapped(high - half))) for low, high in pairwise(edges)
+    ]
 
 
-def _building_span(rng: np.random.Generator, low: float, high: float, config: ManhattanConfig) -> tuple[float, float]:
+def _building_span(
+    rng: np.random.Generator, low: float, high: float, config: ManhattanConfig
+) -> tuple[float, float]:
     """Both ends of a building along one direction of the lot from ``low`` to ``high``."""
     width = (high - low) * rng.uniform(*config.building_share)
     start = low + (high - low - width) * rng.random()
@@ -180,7 +208,8 @@ def _building_span(rng: np.random.Generator, low: float, high: float, config: Ma
 
 
 def _snapped(value: ArrayLike) -> NDArray[np.float64]:
-    """The nearest odd multiples of 1/8 m. It keeps order, so that what is disjoint stays disjoint."""
+    """The nearest odd multiples of 1/8 m. It keeps order, so that what is disjoint stays
+    disjoint."""
     return (np.floor(np.asarray(value) * 4) + 0.5) / 4
 
 
@@ -191,7 +220,8 @@ def _lattice(low: float, high: float, pitch_m: float) -> NDArray[np.float64]:
 
 
 def _crossings(points: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.int64]:
-    """How many edges of the closed ``ring[corner, (x, y)]`` a ray from each of ``points[point, (x, y)]`` to the east crosses."""
+    """How many edges of the closed ``ring[corner, (x, y)]`` a ray from each of ``points[point, (x,
+    y)]`` to the east crosses."""
     x, y = points[:, :1], points[:, 1:]
     (x0, y0), (x1, y1) = ring.T, np.roll(ring, -1, axis=0).T
     straddles = (y0 <= y) != (y1 <= y)  # [point, edge]
@@ -200,8 +230,11 @@ def _crossings(points: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArra
 
 
 def _distance_m(points: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of each of ``points[point, (x, y)]`` from the nearest edge of the closed ``ring[corner, (x, y)]``."""
+    """Distance of each of ``points[point, (x, y)]`` from the nearest edge of the closed
+    ``ring[corner, (x, y)]``."""
     edge = np.roll(ring, -1, axis=0) - ring
     offset = points[:, None] - ring  # [point, edge, x/y]
-    along = np.clip(np.sum(offset * edge, axis=-1) / np.maximum(np.sum(edge**2, axis=-1), 1e-12), 0.0, 1.0)
+    along = np.clip(
+        np.sum(offset * edge, axis=-1) / np.maximum(np.sum(edge**2, axis=-1), 1e-12), 0.0, 1.0
+    )
     return np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=1)

@@ -1,7 +1,8 @@
 """Cities from GeoTIFF rasters of building height, and back.
 
-The raster holds height above the ground in metres (surface model minus terrain model). A cell takes the value at its centre,
-which is what `City.height_m` means, so resampling neither widens nor lowers a building.
+The raster holds height above the ground in metres (surface model minus terrain model). A cell takes
+the value at its centre, which is what `City.height_m` means, so resampling neither widens nor
+lowers a building.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.framing import (
+from skygain.city import City
+from skygain.frames import (
     MAX_CELLS,
     Bounds,
     Reading,
@@ -29,9 +31,8 @@ from skygain.cities.framing import (
     parse_crs,
     transformed_bounds,
 )
-from skygain.city import City
-from skygain.errors import InputError, require
 from skygain.grid import Grid
+from skygain.ground.errors import InputError, require
 
 MAX_HEIGHT_M = 1000.0
 """no building is higher"""
@@ -58,43 +59,61 @@ _UNITS_M = {
 
 
 def raster_city(
-    path: str | Path, *, spacing_m: float | None = None, crs: str | None = None, box: Bounds | None = None, band: int = 1
+    path: str | Path,
+    *,
+    spacing_m: float | None = None,
+    crs: str | None = None,
+    box: Bounds | None = None,
+    band: int = 1,
 ) -> City:
     """The city of `read_raster`, without the account of what was mended."""
     return read_raster(path, spacing_m=spacing_m, crs=crs, box=box, band=band).city
 
 
 def read_raster(
-    path: str | Path, *, spacing_m: float | None = None, crs: str | None = None, box: Bounds | None = None, band: int = 1
+    path: str | Path,
+    *,
+    spacing_m: float | None = None,
+    crs: str | None = None,
+    box: Bounds | None = None,
+    band: int = 1,
 ) -> Reading:
     """Read a GeoTIFF of heights above ground.
 
     Args:
         path: the file.
-        spacing_m: side of a cell; left out, the raster's own if it is upright, square and in true metres, else 4 m.
-        crs: coordinate reference system of the file's coordinates, against what the file says; ``"local"`` for plain metres.
-        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's projection.
+        spacing_m: side of a cell; left out, the raster's own if it is upright, square and in true
+            metres, else 4 m.
+        crs: coordinate reference system of the file's coordinates, against what the file says;
+            ``"local"`` for plain metres.
+        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's
+            projection.
         band: which band holds the heights, from 1.
 
     Returns:
-        The city, georeferenced if the file is. Cells without data and cells below ground are open ground, and counted.
+        The city, georeferenced if the file is. Cells without data and cells below ground are open
+        ground, and counted.
 
     Raises:
-        InputError: the file is no GeoTIFF or is damaged, has no usable georeference, is too large, the box misses it, or the
-            values cannot be heights above ground.
+        InputError: the file is no GeoTIFF or is damaged, has no usable georeference, is too large,
+            the box misses it, or the values cannot be heights above ground.
     """
     path = existing_file(path)
     rasterio = require("rasterio", "geo")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # _check_local says it, with the remedy
+            warnings.simplefilter(
+                "ignore", rasterio.errors.NotGeoreferencedWarning
+            )  # _check_local says it, with the remedy
             with rasterio.open(path, driver="GTiff") as source:
                 grid, height, unit_m = _read(source, spacing_m, crs, box, band)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
-    except Exception as error:  # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
+    # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
+    except Exception as error:
         raise InputError(
-            f"{path.name} is not a readable GeoTIFF ({_one_line(error)}); it may be cut off, export it again"
+            f"{path.name} is not a readable GeoTIFF ({_one_line(error)}); it may be cut off, "
+            "export it again"
         ) from error
     try:
         height_m, counts = _heights_above_ground(height * unit_m)
@@ -104,7 +123,8 @@ def read_raster(
 
 
 def save_heights(city: City, path: str | Path) -> None:
-    """Write the height raster as a GeoTIFF, north up, one float32 band in metres; georeferenced when the city is.
+    """Write the height raster as a GeoTIFF, north up, one float32 band in metres; georeferenced
+    when the city is.
 
     The file appears whole or not at all.
 
@@ -121,7 +141,9 @@ def save_heights(city: City, path: str | Path) -> None:
         "count": 1,
         "dtype": "float32",
         "crs": city.crs,
-        "transform": rasterio.Affine(city.grid.spacing_m, 0.0, west, 0.0, -city.grid.spacing_m, north),
+        "transform": rasterio.Affine(
+            city.grid.spacing_m, 0.0, west, 0.0, -city.grid.spacing_m, north
+        ),
         "compress": "deflate",
     }
     with rasterio.MemoryFile() as memory:
@@ -136,21 +158,31 @@ def save_heights(city: City, path: str | Path) -> None:
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise InputError(f"cannot write {str(path)!r} ({error.strerror}); choose a folder that exists and is writable") from error
+        raise InputError(
+            f"cannot write {str(path)!r} ({error.strerror}); choose a folder that exists and is "
+            "writable"
+        ) from error
 
 
 def _read(
     source: Any, spacing_m: float | None, crs: str | None, box: Bounds | None, band: int
 ) -> tuple[Grid, NDArray[np.float64], float]:
-    """The grid wanted, the values at its cell centres (NaN where the file has none), and the metres in their unit."""
+    """The grid wanted, the values at its cell centres (NaN where the file has none), and the metres
+    in their unit."""
     _check_layout(source, band)
-    own = parse_crs(crs) if crs is not None else parse_crs(source.crs.to_wkt() if source.crs else None)
+    own = (
+        parse_crs(crs)
+        if crs is not None
+        else parse_crs(source.crs.to_wkt() if source.crs else None)
+    )
     extent = _extent(source)
     _check_local(source, own, crs)
     target = metric_crs(own, extent)
     data_m = transformed_bounds(extent, own, target)
     pixel = source.transform
-    upright = pixel.b == 0 and pixel.d == 0 and pixel.a > 0 and abs(pixel.a + pixel.e) <= 1e-6 * pixel.a
+    upright = (
+        pixel.b == 0 and pixel.d == 0 and pixel.a > 0 and abs(pixel.a + pixel.e) <= 1e-6 * pixel.a
+    )
     native = upright and own == target
     spacing = spacing_m if spacing_m is not None else (pixel.a if native else _DEFAULT_SPACING_M)
     bounds = data_m
@@ -163,16 +195,22 @@ def _read(
     _check_effort(source, transformed_bounds(grid.bounds_m, target, own))
     unit = (source.units[band - 1] or "metre").strip().lower()
     if unit not in _UNITS_M:
-        raise InputError(f"heights are in {unit!r}, expected one of {', '.join(_UNITS_M)}; convert the raster to metres")
+        raise InputError(
+            f"heights are in {unit!r}, expected one of {', '.join(_UNITS_M)}; convert the raster "
+            "to metres"
+        )
     return grid, _sampled(source, grid, own, target, band), _UNITS_M[unit]
 
 
-def _sampled(source: Any, grid: Grid, own: Any | None, target: Any | None, band: int) -> NDArray[np.float64]:
+def _sampled(
+    source: Any, grid: Grid, own: Any | None, target: Any | None, band: int
+) -> NDArray[np.float64]:
     """``[row, col]`` the pixel under each cell's centre, NaN where there is none."""
     rasterio = require("rasterio", "geo")
     warp = require("rasterio.vrt", "geo")
     west, _, _, north = grid.bounds_m
-    # GDAL wants some CRS on both sides; for a local frame the same arbitrary one leaves coordinates as they are.
+    # GDAL wants some CRS on both sides; for a local frame the same arbitrary one leaves coordinates
+    # as they are.
     names = [c.to_wkt() if c is not None else "EPSG:32631" for c in (own, target)]
     with warp.WarpedVRT(
         source,
@@ -190,7 +228,9 @@ def _sampled(source: Any, grid: Grid, own: Any | None, target: Any | None, band:
     return values * source.scales[band - 1] + source.offsets[band - 1]
 
 
-def _heights_above_ground(height_m: NDArray[np.float64]) -> tuple[NDArray[np.float32], dict[str, int]]:
+def _heights_above_ground(
+    height_m: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], dict[str, int]]:
     """Heights with everything below ground or unknown set to 0, and how many cells that were.
 
     Raises:
@@ -198,16 +238,20 @@ def _heights_above_ground(height_m: NDArray[np.float64]) -> tuple[NDArray[np.flo
     """
     known = np.isfinite(height_m)
     if not known.any():
-        raise InputError("no cell has a value; choose another band or box, or check the file's nodata value")
+        raise InputError(
+            "no cell has a value; choose another band or box, or check the file's nodata value"
+        )
     low, high = float(height_m[known].min()), float(height_m[known].max())
     if low < -_MAX_DEPTH_M or high > MAX_HEIGHT_M:
         raise InputError(
-            f"values from {low:g} to {high:g} m are not building heights; expected metres above ground from 0 to "
+            f"values from {low:g} to {high:g} m are not building heights; expected metres above "
+            "ground from 0 to "
             f"{MAX_HEIGHT_M:g}, with missing cells marked as nodata"
         )
     if low > _STREET_M:
         raise InputError(
-            f"the lowest value is {low:g} m, so no cell is at street level; expected heights above ground, "
+            f"the lowest value is {low:g} m, so no cell is at street level; expected heights above "
+            "ground, "
             "so subtract the terrain model from the surface model"
         )
     below = known & (height_m < 0)
@@ -215,7 +259,9 @@ def _heights_above_ground(height_m: NDArray[np.float64]) -> tuple[NDArray[np.flo
         "cells without data, taken as open ground": int((~known).sum()),
         "cells below ground, taken as open ground": int(below.sum()),
     }
-    return np.where(known & ~below, height_m, 0.0).astype(np.float32), {what: count for what, count in counts.items() if count}
+    return np.where(known & ~below, height_m, 0.0).astype(np.float32), {
+        what: count for what, count in counts.items() if count
+    }
 
 
 def _check_layout(source: Any, band: int) -> None:
@@ -224,27 +270,34 @@ def _check_layout(source: Any, band: int) -> None:
     if np.dtype(source.dtypes[band - 1]).kind not in "iuf":
         raise InputError(f"band {band} holds {source.dtypes[band - 1]}; expected real numbers")
     if source.count >= 3 and source.colorinterp[0].name == "red":
-        raise InputError("this is a colour picture; expected a raster whose band holds heights in metres")
+        raise InputError(
+            "this is a colour picture; expected a raster whose band holds heights in metres"
+        )
 
 
 def _check_local(source: Any, own: Any | None, crs: str | None) -> None:
-    """A raster without CRS is read in metres unless its coordinates show that they are not metres."""
+    """A raster without CRS is read in metres unless its coordinates show that they are not
+    metres."""
     if own is not None or crs is not None:
         return
     if source.transform.is_identity:
         raise InputError(
-            "the raster has neither coordinate reference system nor pixel size; georeference it (gdal_translate -a_srs -a_ullr)"
+            "the raster has neither coordinate reference system nor pixel size; georeference it "
+            "(gdal_translate -a_srs -a_ullr)"
         )
     if max(abs(source.transform.a), abs(source.transform.e)) < 0.01:
         raise InputError(
-            "the raster has no coordinate reference system and its coordinates look like degrees; give crs, e.g. 'EPSG:4326'"
+            "the raster has no coordinate reference system and its coordinates look like degrees; "
+            "give crs, e.g. 'EPSG:4326'"
         )
 
 
 def _extent(source: Any) -> Bounds:
     """Upright bounds of the raster's four corners in its own coordinates."""
     pixel = source.transform
-    col, row = np.array([[0, source.width, 0, source.width], [0, 0, source.height, source.height]], dtype=float)
+    col, row = np.array(
+        [[0, source.width, 0, source.width], [0, 0, source.height, source.height]], dtype=float
+    )
     x, y = pixel.a * col + pixel.b * row + pixel.c, pixel.d * col + pixel.e * row + pixel.f
     if not np.isfinite([x, y]).all() or x.min() == x.max() or y.min() == y.max():
         raise InputError("the raster's pixels have no size; georeference it again")
@@ -270,7 +323,8 @@ def _check_effort(source: Any, bounds: Bounds) -> None:
     block = max(rows * cols for rows, cols in source.block_shapes)
     if pixels > 16 * MAX_CELLS or block > 16 * MAX_CELLS:
         raise InputError(
-            f"{source.width} x {source.height} pixels in blocks of {block:.3g} are too many to read at once; choose a smaller "
+            f"{source.width} x {source.height} pixels in blocks of {block:.3g} are too many to "
+            "read at once; choose a smaller "
             "box, or tile or coarsen the raster first"
         )
 

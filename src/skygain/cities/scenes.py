@@ -1,9 +1,12 @@
-"""Cities that come with Sionna RT: Munich, Paris around the Etoile, Florence, San Francisco and a street canyon.
+"""Cities that come with Sionna RT: Munich, Paris around the Etoile, Florence, San Francisco and a
+street canyon.
 
-The height map is found by casting a ray straight down through every cell's centre: the first thing it meets is the roof (or the
-street), and a second ray that sees the ground alone says how high the street lies there. Their difference is the height above the
-local ground, so a city on hills keeps only its buildings. The city stays in the scene's own metres, without a CRS, and its name
-is ``"scene:<name>"``, so that a ray tracer can take the original mesh of `load_scene` instead of boxes made from the raster.
+The height map is found by casting a ray straight down through every cell's centre: the first thing
+it meets is the roof (or the street), and a second ray that sees the ground alone says how high the
+street lies there. Their difference is the height above the local ground, so a city on hills keeps
+only its buildings. The city stays in the scene's own metres, without a CRS, and its name is
+``"scene:<name>"``, so that a ray tracer can take the original mesh of `load_scene` instead of boxes
+made from the raster.
 """
 
 from __future__ import annotations
@@ -15,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.framing import Bounds, box_in_metres, grid_over
 from skygain.city import City
-from skygain.errors import InputError, require
+from skygain.frames import Bounds, box_in_metres, grid_over
 from skygain.grid import Grid
+from skygain.ground.errors import InputError, require
 
 SCENES = {
     "munich": "ground",
@@ -39,13 +42,14 @@ def load_scene(name: str, *, merge_shapes: bool = True) -> Any:
 
     Args:
         name: one of `SCENES`, or the name of a city made from one (``"scene:munich"``).
-        merge_shapes: whether objects of one material become one, which traces faster; their names are lost.
+        merge_shapes: whether objects of one material become one, which traces faster; their names
+            are lost.
 
     Raises:
         InputError: there is no such scene, or the ray tracer cannot be used here.
     """
     name = _known(name)
-    from skygain.propagation.llvm import activate
+    from skygain.ground.llvm import activate
 
     activate()
     rt = require("sionna.rt", "raytrace")
@@ -58,7 +62,8 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     Args:
         name: one of `SCENES`.
         spacing_m: side of a cell.
-        box: (west, south, east, north) of the part wanted, in the scene's metres; the whole ground when left out.
+        box: (west, south, east, north) of the part wanted, in the scene's metres; the whole ground
+            when left out.
 
     Raises:
         InputError: there is no such scene, the box misses it, or the map would be too large.
@@ -68,16 +73,26 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     low, high = _corners(scene.objects[SCENES[name]].mi_mesh)
     whole: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     bounds = whole if box is None else box_in_metres(box, None)
-    if bounds[0] >= whole[2] or bounds[2] <= whole[0] or bounds[1] >= whole[3] or bounds[3] <= whole[1]:
+    if (
+        bounds[0] >= whole[2]
+        or bounds[2] <= whole[0]
+        or bounds[1] >= whole[3]
+        or bounds[3] <= whole[1]
+    ):
         shown = ", ".join(f"{v:.0f}" for v in whole)
-        raise InputError(f"the box {box} misses the scene {name!r}, which covers [{shown}] m; choose a box inside it")
+        raise InputError(
+            f"the box {box} misses the scene {name!r}, which covers [{shown}] m; choose a box "
+            "inside it"
+        )
     grid = grid_over(bounds, spacing_m, None)
     top, ground = scene_heights(scene, grid, ground=SCENES[name])
     height = np.where(top - ground < _NOTHING_M, 0.0, top - ground).astype(np.float32)
     return City(grid=grid, height_m=height, name=f"scene:{name}")
 
 
-def scene_heights(scene: Any, grid: Grid, *, ground: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def scene_heights(
+    scene: Any, grid: Grid, *, ground: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Surface and ground of a scene under each cell's centre.
 
     Args:
@@ -86,8 +101,9 @@ def scene_heights(scene: Any, grid: Grid, *, ground: str) -> tuple[NDArray[np.fl
         ground: name of the object that is the ground.
 
     Returns:
-        ``[row, col]`` the highest z of anything, and ``[row, col]`` the z of the ground. Beyond the edge of the ground it is
-        continued at its lowest, and where there is nothing at all, both are that.
+        ``[row, col]`` the highest z of anything, and ``[row, col]`` the z of the ground. Beyond the
+        edge of the ground it is continued at its lowest, and where there is nothing at all, both
+        are that.
     """
     mi = require("mitsuba", "raytrace")
     mesh = scene.objects[ground].mi_mesh
@@ -100,7 +116,8 @@ def scene_heights(scene: Any, grid: Grid, *, ground: str) -> tuple[NDArray[np.fl
 
 
 def _first_hit(mi_scene: Any, grid: Grid, ceiling_m: float) -> NDArray[np.float64]:
-    """``[row, col]`` z where a ray from ``ceiling_m`` straight down first meets the scene, not finite where it does not."""
+    """``[row, col]`` z where a ray from ``ceiling_m`` straight down first meets the scene, not
+    finite where it does not."""
     mi = require("mitsuba", "raytrace")
     x, y = np.meshgrid(grid.x_m, grid.y_m)
     origin = mi.Point3f(mi.Float(x.ravel()), mi.Float(y.ravel()), mi.Float(ceiling_m))

@@ -1,13 +1,21 @@
 """What a building's attributes say about its height.
 
-The vocabulary is OpenStreetMap's, with the spellings that other producers and file formats make of it: names are compared without
-case and punctuation, so ``building:levels``, ``building_levels`` and ``BuildingLevels`` are one, and a Shapefile's ten letters
-``building:l`` are understood too.
+The vocabulary is OpenStreetMap's, with the spellings that other producers and file formats make of
+it: names are compared without case and punctuation, so ``building:levels``, ``building_levels`` and
+``BuildingLevels`` are one, and a Shapefile's ten letters ``building:l`` are understood too.
 """
 
 from __future__ import annotations
 
-__all__ = ["KNOWN_NAMES", "LEVEL_M", "BuildingTags", "parse_length_m", "parse_tags", "plain_name", "read_tags"]
+__all__ = [
+    "KNOWN_NAMES",
+    "LEVEL_M",
+    "BuildingTags",
+    "parse_length_m",
+    "parse_tags",
+    "plain_name",
+    "read_tags",
+]
 
 import json
 import math
@@ -30,7 +38,9 @@ _PART = ("buildingpart", "buildingp", "buildingpa")
 _KIND = ("building",)
 _PLACE = ("location",)
 
-KNOWN_NAMES = frozenset(_HEIGHT + _LEVELS + _BASE + _BASE_LEVEL + _PART + _KIND + _PLACE + ("othertags", "alltags"))
+KNOWN_NAMES = frozenset(
+    _HEIGHT + _LEVELS + _BASE + _BASE_LEVEL + _PART + _KIND + _PLACE + ("othertags", "alltags")
+)
 """plain names of all attributes that are looked at"""
 
 _NO = {"", "no", "false", "0", "none", "nan"}
@@ -53,7 +63,8 @@ class BuildingTags:
     height_m: float | None
     """top above ground: ``height``, else levels times `LEVEL_M`, else ``None``"""
     base_m: float
-    """underside above ground: ``min_height``, else ``building:min_level`` times `LEVEL_M`, else 0"""
+    """underside above ground: ``min_height``, else ``building:min_level`` times `LEVEL_M`, else
+    0"""
     from_levels: bool
     """whether the height comes from the number of levels"""
     misread: bool
@@ -91,7 +102,8 @@ def parse_length_m(value: Any) -> float | None:
 
 
 def parse_tags(text: Any) -> dict[str, str]:
-    """The ``other_tags`` column that GDAL makes of OpenStreetMap, as hstore or as JSON; what is neither gives nothing.
+    """The ``other_tags`` column that GDAL makes of OpenStreetMap, as hstore or as JSON; what is
+    neither gives nothing.
 
     >>> parse_tags('"height"=>"12","name"=>"The \\\\"Tower\\\\""')
     {'height': '12', 'name': 'The "Tower"'}
@@ -105,7 +117,10 @@ def parse_tags(text: Any) -> dict[str, str]:
             return parse_tags(json.loads(text))
         except (ValueError, RecursionError):
             return {}
-    return {re.sub(r"\\(.)", r"\1", key): re.sub(r"\\(.)", r"\1", value) for key, value in _HSTORE.findall(text)}
+    return {
+        re.sub(r"\\(.)", r"\1", key): re.sub(r"\\(.)", r"\1", value)
+        for key, value in _HSTORE.findall(text)
+    }
 
 
 def read_tags(attributes: Mapping[str, Any]) -> BuildingTags:
@@ -131,12 +146,19 @@ def read_tags(attributes: Mapping[str, Any]) -> BuildingTags:
     )
 
 
-def _first(attributes: Mapping[str, Any], names: tuple[str, ...], parse: Any) -> tuple[float | None, bool]:
-    """The first value above 0 under one of the names, and whether one was given that cannot be parsed."""
+def _first(
+    attributes: Mapping[str, Any], names: tuple[str, ...], parse: Any
+) -> tuple[float | None, bool]:
+    """The first value above 0 under one of the names, and whether one was given that cannot be
+    parsed."""
     misread = False
     for name in names:
         raw = attributes.get(name)
-        if raw is None or (isinstance(raw, float) and math.isnan(raw)) or (isinstance(raw, str) and not raw.strip()):
+        if (
+            raw is None
+            or (isinstance(raw, float) and math.isnan(raw))
+            or (isinstance(raw, str) and not raw.strip())
+        ):
             continue
         value = parse(raw)
         misread |= value is None

@@ -1,7 +1,8 @@
 """Polygons and their attributes out of a vector file, through GDAL.
 
-The one place that knows GDAL's formats and layers. OpenStreetMap is read with a configuration of our own (``osmconf.ini``),
-because GDAL's leaves out closed ways that are tagged ``building:part`` and nothing else.
+The one place that knows GDAL's formats and layers. OpenStreetMap is read with a configuration of
+our own (``osmconf.ini``), because GDAL's leaves out closed ways that are tagged ``building:part``
+and nothing else.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.framing import LOCAL, Bounds, parse_crs
 from skygain.cities.tags import KNOWN_NAMES, parse_tags, plain_name
-from skygain.errors import InputError, require
+from skygain.frames import LOCAL, Bounds, parse_crs
+from skygain.ground.errors import InputError, require
 
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp", ".osm", ".pbf")
 """endings of files that are read"""
@@ -44,8 +45,11 @@ class VectorLayer:
     is_osm: bool
     """whether it is read as OpenStreetMap"""
 
-    def features(self, window: Bounds | None = None) -> tuple[NDArray[np.object_], list[dict[str, Any]]]:
-        """Geometries (Shapely; ``None`` for a missing or broken one) and their known attributes, named by `plain_name`.
+    def features(
+        self, window: Bounds | None = None
+    ) -> tuple[NDArray[np.object_], list[dict[str, Any]]]:
+        """Geometries (Shapely; ``None`` for a missing or broken one) and their known attributes,
+        named by `plain_name`.
 
         Args:
             window: only features whose bounds meet this rectangle of the file's coordinates.
@@ -57,8 +61,14 @@ class VectorLayer:
         shapely = require("shapely", "geo")
         columns = [name for name in self.fields if plain_name(name) in KNOWN_NAMES]
         with _gdal(self.is_osm) as options:
-            meta, _, wkb, values = raw.read(self.path, layer=self.name, columns=columns, bbox=window, force_2d=True, **options)
-            geometries = shapely.from_wkb(wkb, on_invalid="ignore") if wkb is not None else np.empty(0, dtype=object)
+            meta, _, wkb, values = raw.read(
+                self.path, layer=self.name, columns=columns, bbox=window, force_2d=True, **options
+            )
+            geometries = (
+                shapely.from_wkb(wkb, on_invalid="ignore")
+                if wkb is not None
+                else np.empty(0, dtype=object)
+            )
         names = [plain_name(name) for name in meta["fields"]]
         rows = zip(*values, strict=True) if len(values) else (() for _ in geometries)
         return geometries, [_attributes(names, row) for row in rows]
@@ -81,11 +91,13 @@ def open_layer(path: Path, layer: str | None = None, crs: str | None = None) -> 
 
     Args:
         path: an existing file.
-        layer: its name; left out, the only one with polygons, or the one called ``building`` or ``buildings``.
+        layer: its name; left out, the only one with polygons, or the one called ``building`` or
+            ``buildings``.
         crs: coordinate reference system, against what the file says.
 
     Raises:
-        InputError: the file is no vector file GDAL can read, the layer is not there or not determined, or there is no CRS.
+        InputError: the file is no vector file GDAL can read, the layer is not there or not
+            determined, or there is no CRS.
     """
     pyogrio = require("pyogrio", "geo")
     is_osm = path.suffix.lower() in (".osm", ".pbf")
@@ -96,11 +108,19 @@ def open_layer(path: Path, layer: str | None = None, crs: str | None = None) -> 
         name = _chosen(layers, layer)
         info = pyogrio.read_info(path, layer=name, **options)
     if info["driver"] not in _DRIVERS:
-        raise InputError(f"files of format {info['driver']} are not read as footprints; expected one of {', '.join(_DRIVERS)}")
+        raise InputError(
+            f"files of format {info['driver']} are not read as footprints; expected one of "
+            f"{', '.join(_DRIVERS)}"
+        )
     if crs is None and not info["crs"]:
-        raise InputError(f"the file names no coordinate reference system; give crs, e.g. 'EPSG:32617', or {LOCAL!r} for metres")
+        raise InputError(
+            "the file names no coordinate reference system; give crs, e.g. 'EPSG:32617', or "
+            f"{LOCAL!r} for metres"
+        )
     fields = tuple(str(field) for field in info["fields"])
-    return VectorLayer(path, name, parse_crs(crs if crs is not None else info["crs"]), fields, is_osm)
+    return VectorLayer(
+        path, name, parse_crs(crs if crs is not None else info["crs"]), fields, is_osm
+    )
 
 
 @contextmanager
@@ -109,34 +129,52 @@ def _gdal(is_osm: bool) -> Iterator[dict[str, str]]:
     with resources.as_file(resources.files("skygain.cities") / "osmconf.ini") as configuration:
         try:
             with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", module="pyogrio")  # what it mends is valid after; what it drops is counted
+                warnings.filterwarnings(
+                    "ignore", module="pyogrio"
+                )  # what it mends is valid after; what it drops is counted
                 yield {"CONFIG_FILE": str(configuration)} if is_osm else {}
         except InputError:
             raise
-        except Exception as error:  # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
+        # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
+        except Exception as error:
             # GDAL's second sentence advises an option we do not have.
             reason = " ".join(str(error).split(";")[0].split())[:200] or type(error).__name__
-            raise InputError(f"not readable as building footprints ({reason}); it may be cut off or of another format") from error
+            raise InputError(
+                f"not readable as building footprints ({reason}); it may be cut off or of another "
+                "format"
+            ) from error
 
 
 def _chosen(layers: list[tuple[str, str]], wanted: str | None) -> str:
     names = [name for name, _ in layers]
     if wanted is not None:
         if wanted not in names:
-            raise InputError(f"there is no layer {wanted!r}; the file has {', '.join(names) or 'none'}")
+            raise InputError(
+                f"there is no layer {wanted!r}; the file has {', '.join(names) or 'none'}"
+            )
         return wanted
-    fitting = [name for name, kind in layers if "Polygon" in kind] or [name for name, kind in layers if kind != "None"]
+    fitting = [name for name, kind in layers if "Polygon" in kind] or [
+        name for name, kind in layers if kind != "None"
+    ]
     if len(fitting) > 1:
-        fitting = [name for name in fitting if plain_name(name) in ("building", "buildings")] or fitting
+        fitting = [
+            name for name in fitting if plain_name(name) in ("building", "buildings")
+        ] or fitting
     if not fitting:
-        raise InputError(f"expected a layer with polygons, found {', '.join(names) or 'no layer at all'}; choose another file")
+        raise InputError(
+            f"expected a layer with polygons, found {', '.join(names) or 'no layer at all'}; "
+            "choose another file"
+        )
     if len(fitting) > 1:
-        raise InputError(f"expected one layer with polygons, found {', '.join(fitting)}; give layer")
+        raise InputError(
+            f"expected one layer with polygons, found {', '.join(fitting)}; give layer"
+        )
     return fitting[0]
 
 
 def _attributes(names: list[str], row: tuple[Any, ...]) -> dict[str, Any]:
-    """What is given of a feature's attributes; columns come before what OpenStreetMap's collective column says."""
+    """What is given of a feature's attributes; columns come before what OpenStreetMap's collective
+    column says."""
     given = {name: value for name, value in zip(names, row, strict=True) if value is not None}
     for collective in ("othertags", "alltags"):
         for key, value in parse_tags(given.pop(collective, None)).items():

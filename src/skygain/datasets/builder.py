@@ -1,8 +1,9 @@
 """Building a data set of generated cities, in parallel, in a way that survives being killed.
 
-Each city is traced on its own and written as a small data set of one city into the folder ``PATH.parts``; once all are there they
-are merged into PATH. A file gets its name only when it is complete, a worker computes on one thread, and all seeds are keyed by
-city, so the result is the same bytes however often the build was killed and however many workers it had.
+Each city is traced on its own and written as a small data set of one city into the folder
+``PATH.parts``; once all are there they are merged into PATH. A file gets its name only when it is
+complete, a worker computes on one thread, and all seeds are keyed by city, so the result is the
+same bytes however often the build was killed and however many workers it had.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from skygain.datasets.layout import CityRecord
 from skygain.datasets.presets import BuildConfig, preset_config
 from skygain.datasets.store import ChannelDataset
 from skygain.datasets.writer import write_dataset
-from skygain.errors import InputError
-from skygain.files import atomic_write, writable_folder
-from skygain.workers import process_pool
+from skygain.ground.errors import InputError
+from skygain.ground.executor import process_pool
+from skygain.ground.files import atomic_write, writable_folder
 
 Progress = Callable[[int, int, float | None], None]
 """called with the cities done, the cities in all, and the seconds left (``None`` while unknown)"""
@@ -60,7 +61,8 @@ def build_dataset(
         preset: name of a preset, or a configuration.
         path: the file to write. Unfinished work is kept beside it, in ``PATH.parts``.
         workers: cities computed at the same time, each in a process of its own on one thread.
-        resume: go on from the cities that an earlier, interrupted call finished; else throw them away, and replace PATH.
+        resume: go on from the cities that an earlier, interrupted call finished; else throw them
+            away, and replace PATH.
         propagation: name of the propagation model; the configuration's when left out.
         progress: told after each city.
 
@@ -68,8 +70,9 @@ def build_dataset(
         The path. A finished data set with the same settings is left as it is.
 
     Raises:
-        InputError: unknown preset or propagation model, PATH or its parts were made with other settings, another process builds
-            the same file, the folder cannot be written, or an optional package is missing.
+        InputError: unknown preset or propagation model, PATH or its parts were made with other
+            settings, another process builds the same file, the folder cannot be written, or an
+            optional package is missing.
     """
     from skygain.propagation import PROPAGATION
 
@@ -95,9 +98,17 @@ def build_dataset(
         _trace_all(config, parts, workers, progress)
         shards = _Shards([_shard(parts, seed) for seed, _ in config.city_seeds])
         first = ChannelDataset.open(shards.paths[0])
-        attributes = {**first.attributes, **_attributes(config, settings), "guarded_cells": shards.sum_of("guarded_cells")}
+        attributes = {
+            **first.attributes,
+            **_attributes(config, settings),
+            "guarded_cells": shards.sum_of("guarded_cells"),
+        }
         merged = write_dataset(
-            parts / "merged.zarr.zip", shards, grid=first.grid, altitudes_m=config.altitudes_m, attributes=attributes
+            parts / "merged.zarr.zip",
+            shards,
+            grid=first.grid,
+            altitudes_m=config.altitudes_m,
+            attributes=attributes,
         )
         os.replace(merged, path)
         shutil.rmtree(parts)
@@ -107,7 +118,9 @@ def build_dataset(
 def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progress | None) -> None:
     """Make the shards that are missing."""
     total = len(config.city_seeds)
-    missing = [(seed, split) for seed, split in config.city_seeds if not _is_usable(_shard(parts, seed))]
+    missing = [
+        (seed, split) for seed, split in config.city_seeds if not _is_usable(_shard(parts, seed))
+    ]
     done, began = total - len(missing), time.monotonic()
     if progress:
         progress(done, total, None)
@@ -115,7 +128,10 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
         return
     try:
         with process_pool(min(workers, len(missing))) as pool:
-            tasks = [pool.submit(_trace_city, config, seed, split, _shard(parts, seed)) for seed, split in missing]
+            tasks = [
+                pool.submit(_trace_city, config, seed, split, _shard(parts, seed))
+                for seed, split in missing
+            ]
             for count, task in enumerate(as_completed(tasks), start=1):
                 task.result()
                 if progress:
@@ -123,18 +139,22 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
                     progress(done + count, total, left)
     except BrokenProcessPool as error:
         raise InputError(
-            "a worker process ended before its city was done, perhaps for want of memory; finished cities are kept, "
+            "a worker process ended before its city was done, perhaps for want of memory; finished "
+            "cities are kept, "
             "run the same command again, with fewer workers"
         ) from error
 
 
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
-    """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a worker."""
+    """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a
+    worker."""
     city = manhattan_city(seed, config.city)
     sites = transmitter_sites(city)
     if config.max_sites is not None:
         # the first of a shuffled list, so that fewer sites are a part of more sites
-        chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[: config.max_sites]
+        chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[
+            : config.max_sites
+        ]
         sites = sites[np.sort(chosen)]
     gain_db, ray_traced, facts = _truth(config, city, sites, config.seed + seed)
     record = CityRecord(
@@ -147,18 +167,27 @@ def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
         ray_traced=ray_traced,
     )
     attributes = {"frequency_hz": config.frequency_hz, **facts}
-    write_dataset(path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes)
+    write_dataset(
+        path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes
+    )
 
 
 def _truth(
     config: BuildConfig, city: City, sites: NDArray[np.float64], seed: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-    """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and how the rays were traced."""
+    """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and how the rays were
+    traced."""
     if config.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
         truth = trace_truth(
-            city, sites, config.altitudes_m, frequency_hz=config.frequency_hz, samples=config.samples, seed=seed, threads=1
+            city,
+            sites,
+            config.altitudes_m,
+            frequency_hz=config.frequency_hz,
+            samples=config.samples,
+            seed=seed,
+            threads=1,
         )
         facts = {
             "rays_per_transmitter": truth.settings.samples,
@@ -175,14 +204,17 @@ def _truth(
     outdoor = np.stack([~city.obstructed(altitude) for altitude in config.altitudes_m])
     if not np.isfinite(gain_db[:, outdoor]).all():
         raise InputError(
-            f"the model {config.propagation!r} leaves outdoor cells without a gain, so no survey could use it; take 'union'"
+            f"the model {config.propagation!r} leaves outdoor cells without a gain, so no survey "
+            "could use it; take 'union'"
         )
     return gain_db, np.zeros(gain_db.shape, dtype=bool), {"guarded_cells": 0}
 
 
 def _rectangles(city: City) -> NDArray[np.float64]:
     """``[building, (x0, y0, x1, y1, height)]`` of a city of upright rectangles."""
-    corners = [(*b.footprint_m.min(axis=0), *b.footprint_m.max(axis=0), b.height_m) for b in city.buildings]
+    corners = [
+        (*b.footprint_m.min(axis=0), *b.footprint_m.max(axis=0), b.height_m) for b in city.buildings
+    ]
     return np.array(corners, dtype=float).reshape(-1, 5)
 
 
@@ -227,9 +259,11 @@ def _settings(config: BuildConfig) -> dict[str, Any]:
 
 
 def _source_digest() -> str:
-    """Changes when the code changes that the numbers come from, but not with its comments and docstrings.
+    """Changes when the code changes that the numbers come from, but not with its comments and
+    docstrings.
 
-    It guards unfinished builds only: the parts of one must come from one code. A finished file carries the releases.
+    It guards unfinished builds only: the parts of one must come from one code. A finished file
+    carries the releases.
     """
     root = Path(skygain.__file__).parent
     digest = hashlib.sha256()
@@ -237,7 +271,12 @@ def _source_digest() -> str:
         tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(body := getattr(node, "body", None), list):
-                node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]  # type: ignore[attr-defined]
+                kept = [
+                    s
+                    for s in body
+                    if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))
+                ]
+                setattr(node, "body", kept)  # noqa: B010 - not every node has a body
         digest.update(ast.dump(tree).encode())
     return digest.hexdigest()[:12]
 
@@ -247,8 +286,14 @@ def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, A
     return {
         "title": f"Manhattan cities, {config.name}",
         "extent_m": config.city.extent_m,
-        "gain": "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean nothing",
-        "tool": f"Skygain {skygain.__version__}, propagation model {config.propagation}; the coordinate city is the city's seed",
+        "gain": (
+            "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean "
+            "nothing"
+        ),
+        "tool": (
+            f"Skygain {skygain.__version__}, propagation model {config.propagation}; the "
+            "coordinate city is the city's seed"
+        ),
         "build": dict(settings),
     }
 
@@ -272,10 +317,18 @@ def _demand_same(settings: Mapping[str, Any], found: Any, where: Path) -> None:
     if found == settings:
         return
     if not isinstance(found, dict):
-        raise InputError(f"{where} was not built by this command; give another output path, or do not resume to replace it")
-    different = [f"{key} {found.get(key)!r} there, {settings[key]!r} now" for key in settings if found.get(key) != settings[key]]
+        raise InputError(
+            f"{where} was not built by this command; give another output path, or do not resume to "
+            "replace it"
+        )
+    different = [
+        f"{key} {found.get(key)!r} there, {settings[key]!r} now"
+        for key in settings
+        if found.get(key) != settings[key]
+    ]
     raise InputError(
-        f"{where} was made with other settings ({'; '.join(different)}); give another output path, or do not resume to replace it"
+        f"{where} was made with other settings ({'; '.join(different)}); give another output path, "
+        "or do not resume to replace it"
     )
 
 
@@ -296,9 +349,13 @@ def _locked(parts: Path, path: Path) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                raise InputError(f"another process is building {path}; wait for it or choose another output path") from error
+                raise InputError(
+                    f"another process is building {path}; wait for it or choose another output path"
+                ) from error
             if not _still_there(parts / "lock", file.fileno()):
-                continue  # between our opening the lock and getting it, a build ended and took the folder away
+                # between our opening the lock and getting it, a build ended and took the folder
+                # away
+                continue
             try:
                 yield
             finally:

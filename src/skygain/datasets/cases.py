@@ -1,8 +1,10 @@
 """The surveys that a comparison flies: which link, which crop, where the UAVs start.
 
-The list follows from the data set and a seed alone, so every predictor and planner meets the same surveys and their results can
-be compared in pairs. Each case draws from a random stream of its own, keyed by seed and link: asking for more surveys, for
-another split, for more UAVs or for the other kind of start leaves the crops of all other cases as they were.
+The list follows from the data set and a seed alone, so every predictor and planner meets the same
+surveys and their results can
+be compared in pairs. Each case draws from a random stream of its own, keyed by seed and link:
+asking for more surveys, for another split, for more UAVs or for the other kind of start leaves the
+crops of all other cases as they were.
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ from scipy import ndimage
 from skygain.datasets.crops import cropped_link
 from skygain.datasets.link import Link
 from skygain.datasets.store import ChannelDataset
-from skygain.errors import InputError
+from skygain.flight.starts import start_cells
+from skygain.ground.errors import InputError
 from skygain.scenario import Scenario, check_transmitter
-from skygain.starts import start_cells
 
 _CROP, _START, _SURVEY, _ORDER = range(4)
 """the random streams of a case, and the one that orders the links of a city"""
@@ -33,7 +35,8 @@ _DRAWS = 100
 
 @dataclass(frozen=True)
 class Case:
-    """One survey to fly. It holds numbers only, so it is cheap to send to another process, which reads the maps itself."""
+    """One survey to fly. It holds numbers only, so it is cheap to send to another process, which
+    reads the maps itself."""
 
     path: str
     """file of the data set"""
@@ -87,7 +90,8 @@ class Case:
         )
 
     def rng(self, stream: int = 0) -> np.random.Generator:
-        """A generator for the survey; different ``stream`` numbers (planner, noise, …) are independent of each other."""
+        """A generator for the survey; different ``stream`` numbers (planner, noise, …) are
+        independent of each other."""
         return np.random.default_rng([self.seed, stream])
 
 
@@ -108,37 +112,46 @@ def survey_cases(
         dataset: where the links are.
         split: ``"T1"`` to ``"T4"``.
         n_uavs: UAVs per survey.
-        start: ``"cluster"`` or ``"spread"``, see `skygain.starts`.
+        start: ``"cluster"`` or ``"spread"``, see `skygain.flight.starts`.
         altitude_m: altitude of flight and of prediction.
-        max_surveys: at most so many, spread over the cities: one link of each city, then a second of each, and so on. A shorter
-            list is the beginning of a longer one. All links, city by city, when left out.
+        max_surveys: at most so many, spread over the cities: one link of each city, then a second
+            of each, and so on. A shorter list is the beginning of a longer one. All links, city by
+            city, when left out.
         seed: another seed gives other crops and starts.
         crop_shape: rows and columns of the crop.
 
     Returns:
-        The cases. All start cells lie in the largest connected part of the crop's flyable cells. Links whose transmitter stands
-        in a cell that counts as built up are left out.
+        The cases. All start cells lie in the largest connected part of the crop's flyable cells.
+        Links whose transmitter stands in a cell that counts as built up are left out.
 
     Raises:
-        InputError: unknown split or altitude, no links at that altitude, a crop larger than the map, or no room for the swarm.
+        InputError: unknown split or altitude, no links at that altitude, a crop larger than the
+            map, or no room for the swarm.
     """
     if max_surveys is not None and max_surveys < 1:
-        raise InputError(f"max_surveys must be 1 or more, got {max_surveys}; leave it out to fly all surveys")
+        raise InputError(
+            f"max_surveys must be 1 or more, got {max_surveys}; leave it out to fly all surveys"
+        )
     rows, cols = dataset.grid.shape
     if not (1 <= crop_shape[0] <= rows and 1 <= crop_shape[1] <= cols):
         raise InputError(
-            f"a crop of {crop_shape} cells does not fit into the maps of {(rows, cols)} cells; choose a smaller crop"
+            f"a crop of {crop_shape} cells does not fit into the maps of {(rows, cols)} cells; "
+            "choose a smaller crop"
         )
     links = [i for i in dataset.links(split, altitude_m) if _stands_outdoors(dataset, i)]
     if not links:
-        raise InputError(f"split {split} of {dataset.path} has no links at {altitude_m:g} m; choose another split or altitude")
+        raise InputError(
+            f"split {split} of {dataset.path} has no links at {altitude_m:g} m; choose another "
+            "split or altitude"
+        )
     if max_surveys is not None:
         links = _spread(dataset, links, seed)[:max_surveys]
     return [_case(dataset, link, n_uavs, start, altitude_m, seed, crop_shape) for link in links]
 
 
 def _spread(dataset: ChannelDataset, links: list[int], seed: int) -> list[int]:
-    """The links with one of each city first, then a second of each, …; which one is random, lest it always be the south-west."""
+    """The links with one of each city first, then a second of each, …; which one is random, lest it
+    always be the south-west."""
     ranked = []
     for i, group in groupby(links, key=lambda link: int(dataset.city_index[link])):
         order = np.random.default_rng([seed, _ORDER, i]).permutation(np.array(list(group)))
@@ -156,7 +169,13 @@ def _stands_outdoors(dataset: ChannelDataset, link: int) -> bool:
 
 
 def _case(
-    dataset: ChannelDataset, link: int, n_uavs: int, start: str, altitude_m: float, seed: int, shape: tuple[int, int]
+    dataset: ChannelDataset,
+    link: int,
+    n_uavs: int,
+    start: str,
+    altitude_m: float,
+    seed: int,
+    shape: tuple[int, int],
 ) -> Case:
     """Draw crop and start of one link's survey."""
     i = int(dataset.city_index[link])
@@ -164,12 +183,17 @@ def _case(
     crops = np.random.default_rng([seed, _CROP, link])
     places = np.random.default_rng([seed, _START, link])
     for _ in range(_DRAWS):
-        row, col = (int(crops.integers(size - part + 1)) for size, part in zip(city.grid.shape, shape, strict=True))
+        row, col = (
+            int(crops.integers(size - part + 1))
+            for size, part in zip(city.grid.shape, shape, strict=True)
+        )
         cropped = city.cropped(row, col, shape, rebase=True)
         free = _largest_part(~cropped.obstructed(altitude_m))
         if free.sum() < max(n_uavs, _FREE_SHARE * free.size):
             continue
-        scenario = Scenario(city=cropped, uav_altitude_m=altitude_m, prediction_altitude_m=altitude_m, no_fly=~free)
+        scenario = Scenario(
+            city=cropped, uav_altitude_m=altitude_m, prediction_altitude_m=altitude_m, no_fly=~free
+        )
         starts = start_cells(start, scenario, n_uavs, places)
         return Case(
             path=str(dataset.path),
@@ -184,7 +208,8 @@ def _case(
             seed=int(np.random.SeedSequence([seed, _SURVEY, link]).generate_state(1)[0]),
         )
     raise InputError(
-        f"link {link} of {dataset.path}: no crop of {shape} cells in {_DRAWS} draws has a connected quarter free for flight at "
+        f"link {link} of {dataset.path}: no crop of {shape} cells in {_DRAWS} draws has a "
+        "connected quarter free for flight at "
         f"{altitude_m:g} m and room for {n_uavs} UAVs; fly higher, take a larger crop or fewer UAVs"
     )
 
@@ -204,5 +229,7 @@ def _dataset(path: str) -> ChannelDataset:
 
 
 @lru_cache(maxsize=8)
-def _crop(path: str, link: int, altitude_m: float, row: int, col: int, shape: tuple[int, int]) -> Link:
+def _crop(
+    path: str, link: int, altitude_m: float, row: int, col: int, shape: tuple[int, int]
+) -> Link:
     return cropped_link(_dataset(path).link(link, altitude_m), row, col, shape)

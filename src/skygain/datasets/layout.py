@@ -1,19 +1,23 @@
 """The file layout of a data set, in one place for its reader and its writer.
 
-A data set is one zip file that holds a Zarr (version 3) group, which `xarray.open_zarr` reads too. Cities are rasters and
-rectangles; links are transmitters with their gain maps, ordered by city.
+A data set is one zip file that holds a Zarr (version 3) group, which `xarray.open_zarr` reads too.
+Cities are rasters and rectangles; links are transmitters with their gain maps, ordered by city.
 
-| variable     | dimensions              | type    | meaning                                                                   |
-|--------------|-------------------------|---------|---------------------------------------------------------------------------|
-| `height_m`   | city, y, x              | float16 | building height at the cell's centre, 0 = street; row 0 = smallest y      |
-| `building`   | city, building, edge    | float32 | rectangles x0, y0, x1, y1, height in metres, padded with NaN              |
-| `split`      | city                    | text    | T1, T2, T3 or T4                                                          |
-| `city_index` | link                    | int16   | position along `city`                                                     |
-| `tx_m`       | link, axis              | float32 | transmitter x, y, z in metres                                             |
-| `gain_db`    | link, altitude, y, x    | float16 | channel gain in dB; all NaN where an altitude was not computed            |
-| `ray_traced` | link, altitude, y, x    | bool    | whether a ray reached the cell                                            |
+| variable | dimensions | type | meaning |
+| --- | --- | --- | --- |
+| `height_m` | city, y, x | float16 | building height at the cell's centre, 0 = street; row 0 =
+smallest y |
+| `building` | city, building, edge | float32 | rectangles x0, y0, x1, y1, height in metres, padded
+with NaN |
+| `split` | city | text | T1, T2, T3 or T4 |
+| `city_index` | link | int16 | position along `city` |
+| `tx_m` | link, axis | float32 | transmitter x, y, z in metres |
+| `gain_db` | link, altitude, y, x | float16 | channel gain in dB; all NaN where an altitude was not
+computed |
+| `ray_traced` | link, altitude, y, x | bool | whether a ray reached the cell |
 
-with the coordinates `city` (a number of the city's own, for generated cities their seed), `altitude`, `y`, `x`, `axis`, `edge`.
+with the coordinates `city` (a number of the city's own, for generated cities their seed),
+`altitude`, `y`, `x`, `axis`, `edge`.
 """
 
 from __future__ import annotations

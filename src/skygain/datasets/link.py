@@ -35,5 +35,6 @@ class Link:
 
     @property
     def outdoor(self) -> NDArray[np.bool_]:
-        """``[row, col]`` cells unobstructed at the link's altitude, where the truth means something."""
+        """``[row, col]`` cells unobstructed at the link's altitude, where the truth means
+        something."""
         return ~self.city.obstructed(self.altitude_m)

@@ -1,7 +1,7 @@
 """Batches of random crops for training, in plain NumPy.
 
-A batch is a function of the seed and the step alone: a training run that stops and goes on later sees the batches it would have
-seen, and every link is used once before any is used again.
+A batch is a function of the seed and the step alone: a training run that stops and goes on later
+sees the batches it would have seen, and every link is used once before any is used again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.datasets.store import ChannelDataset
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 _ORDER, _CROP = range(2)
 """the random streams of the loader"""
@@ -24,14 +24,16 @@ _ORDER, _CROP = range(2)
 
 @dataclass(frozen=True, eq=False)
 class CropBatch:
-    """Crops of several links, each in a frame whose (0, 0) is the centre of the crop's cell (0, 0)."""
+    """Crops of several links, each in a frame whose (0, 0) is the centre of the crop's cell (0,
+    0)."""
 
     height_m: NDArray[np.float32]
     """``[item, row, col]`` building heights"""
     gain_db: NDArray[np.float32]
     """``[item, row, col]`` channel gain, 0 inside buildings so that nothing can be learned there"""
     outdoor: NDArray[np.bool_]
-    """``[item, row, col]`` cells unobstructed at the item's altitude, where the gain means something"""
+    """``[item, row, col]`` cells unobstructed at the item's altitude, where the gain means
+    something"""
     ray_traced: NDArray[np.bool_]
     """``[item, row, col]`` whether a ray reached the cell"""
     transmitter_m: NDArray[np.float32]
@@ -45,7 +47,8 @@ class CropBatch:
 class CropLoader:
     """Endless batches of random crops of one split, turned and mirrored unless told otherwise.
 
-    The maps of the split are held in memory as single-precision numbers: about 60 kB per link and altitude.
+    The maps of the split are held in memory as single-precision numbers: about 60 kB per link and
+    altitude.
     """
 
     def __init__(
@@ -71,16 +74,30 @@ class CropLoader:
             seed: another seed gives another order and other crops.
 
         Raises:
-            InputError: unknown split or altitude, no such link, a crop larger than the map, or a batch of nothing.
+            InputError: unknown split or altitude, no such link, a crop larger than the map, or a
+                batch of nothing.
         """
         rows, cols = dataset.grid.shape
-        if not (min(shape) >= 1 and shape[0] <= rows and shape[1] <= cols and max(shape) <= min(rows, cols)):
-            raise InputError(f"a crop of {shape} cells does not fit into the maps of {(rows, cols)} cells; choose a smaller crop")
+        if not (
+            min(shape) >= 1
+            and shape[0] <= rows
+            and shape[1] <= cols
+            and max(shape) <= min(rows, cols)
+        ):
+            raise InputError(
+                f"a crop of {shape} cells does not fit into the maps of {(rows, cols)} cells; "
+                "choose a smaller crop"
+            )
         if batch_size < 1:
             raise InputError(f"batch_size must be 1 or more, got {batch_size}")
-        items = [(link, altitude) for altitude in altitudes_m for link in dataset.links(split, altitude)]
+        items = [
+            (link, altitude) for altitude in altitudes_m for link in dataset.links(split, altitude)
+        ]
         if not items:
-            raise InputError(f"split {split} of {dataset.path} has no links at {altitudes_m} m; choose another split or altitude")
+            raise InputError(
+                f"split {split} of {dataset.path} has no links at {altitudes_m} m; choose another "
+                "split or altitude"
+            )
         self.batch_size, self.shape, self.augment, self.seed = batch_size, shape, augment, seed
         self._grid = dataset.grid
         self._links = np.array([link for link, _ in items], dtype=np.int64)
@@ -114,12 +131,20 @@ class CropLoader:
 
     def batch(self, step: int) -> CropBatch:
         """The batch of training step ``step`` (0, 1, 2, …)."""
-        epochs, places = np.divmod(np.arange(step * self.batch_size, (step + 1) * self.batch_size), self.n_items)
-        items = np.array([self._order(epoch)[place] for epoch, place in zip(epochs.tolist(), places.tolist(), strict=True)])
+        epochs, places = np.divmod(
+            np.arange(step * self.batch_size, (step + 1) * self.batch_size), self.n_items
+        )
+        items = np.array(
+            [
+                self._order(epoch)[place]
+                for epoch, place in zip(epochs.tolist(), places.tolist(), strict=True)
+            ]
+        )
         rng = np.random.default_rng([self.seed, _CROP, step])
         quarters = rng.integers(4, size=len(items)) * self.augment
         mirror = rng.integers(2, size=len(items)) * self.augment == 1
-        # a crop that is turned by an odd number of quarters is cut out lying down, so that it ends up with the shape asked for
+        # a crop that is turned by an odd number of quarters is cut out lying down, so that it ends
+        # up with the shape asked for
         size = np.where((quarters % 2 == 1)[:, None], self.shape[::-1], self.shape)
         corner = rng.integers(np.array(self._grid.shape) - size + 1)
         height, gain = (np.empty((len(items), *self.shape), dtype=np.float32) for _ in range(2))

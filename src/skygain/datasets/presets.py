@@ -1,7 +1,8 @@
 """Which cities, transmitters and altitudes a data set is built of.
 
-A city's seed belongs to one split for good (T1 counts from 0, T2 from 1000, T3 from 2000, T4 from 3000), whatever the preset.
-So no predictor trained on one preset has seen a test city of another, and the small presets are subsets of the paper's.
+A city's seed belongs to one split for good (T1 counts from 0, T2 from 1000, T3 from 2000, T4 from
+3000), whatever the preset. So no predictor trained on one preset has seen a test city of another,
+and the small presets are subsets of the paper's.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 
 from skygain.cities.manhattan import ManhattanConfig
 from skygain.datasets.layout import SPLITS
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 _SEEDS_PER_SPLIT = 1000
 
@@ -30,7 +31,8 @@ class BuildConfig:
     cities: tuple[int, int, int, int]
     """cities of T1, T2, T3 and T4"""
     max_sites: int | None = None
-    """transmitters per city, drawn from the outdoor ones of the lattice; all of them when ``None``"""
+    """transmitters per city, drawn from the outdoor ones of the lattice; all of them when
+    ``None``"""
     altitudes_m: tuple[float, ...] = (10.0, 20.0, 30.0)
     """altitudes of the maps"""
     samples: int = 3_000_000
@@ -46,11 +48,14 @@ class BuildConfig:
 
     def __post_init__(self) -> None:
         demands = {
-            f"cities must be four numbers from 0 to {_SEEDS_PER_SPLIT}, not all 0": len(self.cities) == len(SPLITS)
+            f"cities must be four numbers from 0 to {_SEEDS_PER_SPLIT}, not all 0": len(self.cities)
+            == len(SPLITS)
             and all(0 <= n <= _SEEDS_PER_SPLIT for n in self.cities)
             and sum(self.cities) > 0,
             "max_sites must be 1 or more": self.max_sites is None or self.max_sites >= 1,
-            "altitudes_m must be positive and different": 0 < len(self.altitudes_m) == len(set(self.altitudes_m))
+            "altitudes_m must be positive and different": 0
+            < len(self.altitudes_m)
+            == len(set(self.altitudes_m))
             and min(self.altitudes_m) > 0,
             "samples must be 1 or more": self.samples >= 1,
             "frequency_hz must be positive": self.frequency_hz > 0,
@@ -75,10 +80,14 @@ PRESETS = {
     for config in (
         BuildConfig(name="paper", cities=(75, 25, 170, 30)),
         BuildConfig(name="small", cities=(12, 4, 8, 6), max_sites=6),
-        BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000),
+        BuildConfig(
+            name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,), samples=300_000
+        ),
         BuildConfig(name="sample", cities=(1, 1, 1, 1), max_sites=3),
         BuildConfig(name="more-cities", cities=(200, 0, 0, 0), max_sites=6, altitudes_m=(10.0,)),
-        BuildConfig(name="more-altitudes", cities=(100, 0, 40, 0), max_sites=6, altitudes_m=(20.0, 30.0)),
+        BuildConfig(
+            name="more-altitudes", cities=(100, 0, 40, 0), max_sites=6, altitudes_m=(20.0, 30.0)
+        ),
         BuildConfig(
             name="large",
             cities=(0, 6, 0, 6),
@@ -89,11 +98,11 @@ PRESETS = {
         ),
     )
 }
-"""``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to see that everything works;
-``sample`` is what ships inside the package; ``more-cities`` are training cities to add to another data set (10 m only),
-``more-altitudes`` has the first 100 of them and 40 cities of T3 at 20 and 30 m;
-``large`` has maps of 256 × 256 cells for swarms of many UAVs, Gudmundson fields over
-cities of 10 × 10 blocks, and is built in seconds"""
+"""``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to
+see that everything works; ``sample`` is what ships inside the package; ``more-cities`` are training
+cities to add to another data set (10 m only), ``more-altitudes`` has the first 100 of them and 40
+cities of T3 at 20 and 30 m; ``large`` has maps of 256 × 256 cells for swarms of many UAVs,
+Gudmundson fields over cities of 10 × 10 blocks, and is built in seconds"""
 
 
 def preset_config(name: str) -> BuildConfig:

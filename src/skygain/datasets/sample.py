@@ -1,6 +1,7 @@
 """The small data set that ships inside the package.
 
-It is the preset ``sample``, made with ``skygain dataset build --preset sample --out src/skygain/data/sample.zarr.zip --no-resume``.
+It is the preset ``sample``, made with ``skygain dataset build --preset sample --out
+src/skygain/data/sample.zarr.zip --no-resume``.
 """
 
 from __future__ import annotations

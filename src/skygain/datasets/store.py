@@ -1,7 +1,8 @@
 """Reading a data set: lazily, link by link, from any number of processes.
 
-A file from outside may be cut short, damaged, something else altogether, or made to do harm. `ChannelDataset.open` therefore
-looks at sizes, dimensions and types before it reads any numbers, and whatever is wrong comes out as a one-line `InputError`.
+A file from outside may be cut short, damaged, something else altogether, or made to do harm.
+`ChannelDataset.open` therefore looks at sizes, dimensions and types before it reads any numbers,
+and whatever is wrong comes out as a one-line `InputError`.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from numpy.typing import NDArray
 from skygain.city import Building, City
 from skygain.datasets.layout import SPLITS, VARIABLES, CityRecord
 from skygain.datasets.link import Link
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 _MAX_CHUNK_BYTES = 2**28
 """a chunk larger than this is taken for an attack on the memory"""
@@ -61,21 +62,28 @@ class ChannelDataset:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ChannelDataset:
-        """Open the data set in the zip file ``path``; its layout is that of `skygain.datasets.layout`.
+        """Open the data set in the zip file ``path``; its layout is that of
+        `skygain.datasets.layout`.
 
         Raises:
             InputError: there is no such file, or it is not a complete data set of this layout.
         """
         path = Path(path)
         if not path.exists():
-            raise InputError(f"there is no file {path}; build a data set with: skygain dataset build --preset small --out {path}")
+            raise InputError(
+                f"there is no file {path}; build a data set with: skygain dataset build --preset "
+                f"small --out {path}"
+            )
         return _guarded(path, lambda: cls(path, *_open_arrays(path)))._checked()
 
     def __reduce__(self) -> tuple[Callable[..., ChannelDataset], tuple[Path]]:
         return ChannelDataset.open, (self.path,)
 
     def __repr__(self) -> str:
-        return f"ChannelDataset({str(self.path)!r}, cities={self.n_cities}, links={self.n_links}, altitudes_m={self.altitudes_m})"
+        return (
+            f"ChannelDataset({str(self.path)!r}, cities={self.n_cities}, links={self.n_links}, "
+            f"altitudes_m={self.altitudes_m})"
+        )
 
     @property
     def n_cities(self) -> int:
@@ -102,11 +110,14 @@ class ChannelDataset:
             return list(range(self.n_cities))
         found = [i for i, name in enumerate(self.splits) if name == split]
         if not found:
-            raise InputError(f"{self.path} has no split {split!r}; it has {', '.join(sorted(set(self.splits)))}")
+            raise InputError(
+                f"{self.path} has no split {split!r}; it has {', '.join(sorted(set(self.splits)))}"
+            )
         return found
 
     def links(self, split: str | None = None, altitude_m: float = 10.0) -> list[int]:
-        """Positions of the links of ``split`` (or of all) whose gain was computed at ``altitude_m``, ordered by city.
+        """Positions of the links of ``split`` (or of all) whose gain was computed at
+        ``altitude_m``, ordered by city.
 
         Raises:
             InputError: the data set has no such split or altitude.
@@ -122,7 +133,8 @@ class ChannelDataset:
         """The link at position ``index`` of the data set.
 
         Raises:
-            InputError: no such link or altitude, the altitude was not computed for it, or the file is damaged.
+            InputError: no such link or altitude, the altitude was not computed for it, or the file
+                is damaged.
         """
         if not 0 <= index < self.n_links:
             raise InputError(f"{self.path} has links 0 to {self.n_links - 1}, got {index}")
@@ -132,7 +144,8 @@ class ChannelDataset:
         truth = gain[index % block].astype(np.float32)
         if np.isnan(truth).all():
             raise InputError(
-                f"link {index} of {self.path} was not computed at {altitude_m:g} m; take one of links(split, altitude_m)"
+                f"link {index} of {self.path} was not computed at {altitude_m:g} m; take one of "
+                "links(split, altitude_m)"
             )
         traced = ray_traced[index % block].copy()
         truth.flags.writeable = traced.flags.writeable = False
@@ -181,10 +194,18 @@ class ChannelDataset:
         if not 0 <= i < self.n_cities:
             raise InputError(f"{self.path} has cities 0 to {self.n_cities - 1}, got {i}")
         buildings = tuple(
-            Building(footprint_m=np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float), height_m=float(height))
+            Building(
+                footprint_m=np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float),
+                height_m=float(height),
+            )
             for x0, y0, x1, y1, height in self._rectangles(i).tolist()
         )
-        return City(grid=self.grid, height_m=self._heights[i], buildings=buildings, name=f"city-{self.city_numbers[i]}")
+        return City(
+            grid=self.grid,
+            height_m=self._heights[i],
+            buildings=buildings,
+            name=f"city-{self.city_numbers[i]}",
+        )
 
     def _rectangles(self, i: int) -> NDArray[np.float32]:
         """``[building, edge]`` of city ``i`` without the padding."""
@@ -201,7 +222,9 @@ class ChannelDataset:
 
     @property
     def _arrays(self) -> dict[str, Any]:
-        if self._process != os.getpid():  # after a fork, two processes must not move one file position
+        if (
+            self._process != os.getpid()
+        ):  # after a fork, two processes must not move one file position
             self._arrays_of, self._process = _open_arrays(self.path)[0], os.getpid()
         return self._arrays_of
 
@@ -213,7 +236,10 @@ class ChannelDataset:
     def _heights(self) -> NDArray[np.floating]:
         heights = self._read("height_m", slice(None))
         if not (np.isfinite(heights).all() and (heights >= 0).all()):
-            raise InputError(f"{self.path} has building heights that are negative or not numbers; build the data set anew")
+            raise InputError(
+                f"{self.path} has building heights that are negative or not numbers; build the "
+                "data set anew"
+            )
         return heights
 
     @cached_property
@@ -242,27 +268,39 @@ class ChannelDataset:
         index = self.city_index
         frequency = self.attributes.get("frequency_hz")
         demands = {
-            "there must be at least one city, link and altitude": min(self.n_cities, self.n_links, len(self.altitudes_m)) >= 1,
+            "there must be at least one city, link and altitude": min(
+                self.n_cities, self.n_links, len(self.altitudes_m)
+            )
+            >= 1,
             "altitudes must be positive": all(0 < a < np.inf for a in self.altitudes_m),
             f"splits must be among {', '.join(SPLITS)}": set(self.splits) <= set(SPLITS),
             "city_index must point to cities": bool(np.all((index >= 0) & (index < self.n_cities))),
             "transmitters must be finite": bool(np.isfinite(self.transmitters_m).all()),
-            "the attribute frequency_hz must be a positive number": isinstance(frequency, int | float) and 0 < frequency < np.inf,
+            "the attribute frequency_hz must be a positive number": isinstance(
+                frequency, int | float
+            )
+            and 0 < frequency < np.inf,
         }
         for demand, met in demands.items():
             if not met:
-                raise InputError(f"{self.path} is not a usable data set: {demand}; build it anew with: skygain dataset build")
+                raise InputError(
+                    f"{self.path} is not a usable data set: {demand}; build it anew with: skygain "
+                    "dataset build"
+                )
         return self
 
 
 def _guarded(path: Path, read: Callable[[], Any]) -> Any:
-    """What ``read`` returns. Zip, codec and Zarr each have errors of their own for a damaged file; all become an `InputError`."""
+    """What ``read`` returns. Zip, codec and Zarr each have errors of their own for a damaged file;
+    all become an `InputError`."""
     try:
         return read()
     except InputError:
         raise
     except PermissionError as error:
-        raise InputError(f"cannot read {path}: permission denied; change its permissions or copy it") from error
+        raise InputError(
+            f"cannot read {path}: permission denied; change its permissions or copy it"
+        ) from error
     except Exception as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(
@@ -272,7 +310,8 @@ def _guarded(path: Path, read: Callable[[], Any]) -> Any:
 
 
 def _open_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The Zarr arrays in the zip file by name, and the attributes, once their sizes, dimensions and types are found right."""
+    """The Zarr arrays in the zip file by name, and the attributes, once their sizes, dimensions and
+    types are found right."""
     if not path.is_file() or not zipfile.is_zipfile(path):
         raise InputError(
             f"{path} is not a zip file, so not a Skygain data set, or it was cut short; "
@@ -282,7 +321,8 @@ def _open_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         largest = max(archive.infolist(), key=lambda entry: entry.file_size, default=None)
         if largest is not None and largest.file_size > _MAX_CHUNK_BYTES:
             raise InputError(
-                f"{path} holds an entry {largest.filename!r} of {largest.file_size} bytes; no data set does, so it is not opened"
+                f"{path} holds an entry {largest.filename!r} of {largest.file_size} bytes; no data "
+                "set does, so it is not opened"
             )
     import zarr
 
@@ -292,27 +332,35 @@ def _open_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name, (dimensions, kind) in VARIABLES.items():
         if not isinstance(array := group.get(name), zarr.Array):
             raise InputError(
-                f"{path} is a zip file without the variable {name!r}, so not a Skygain data set; give the file of one"
+                f"{path} is a zip file without the variable {name!r}, so not a Skygain data set; "
+                "give the file of one"
             )
         found = getattr(array.metadata, "dimension_names", None)
         if found != dimensions or array.dtype.kind != np.dtype(kind).kind:
             raise InputError(
-                f"{path}: expected {name} as {np.dtype(kind)}{list(dimensions)}, got {array.dtype}{found}"
+                f"{path}: expected {name} as {np.dtype(kind)}{list(dimensions)}, got "
+                f"{array.dtype}{found}"
                 "; convert it or build the data set anew"
             )
         arrays[name] = array
         for dimension, size in zip(dimensions, array.shape, strict=True):
             if sizes.setdefault(dimension, size) != size:
                 raise InputError(
-                    f"{path}: {name} has {size} along {dimension!r}, expected {sizes[dimension]}; build the data set anew"
+                    f"{path}: {name} has {size} along {dimension!r}, expected {sizes[dimension]}; "
+                    "build the data set anew"
                 )
         whole = name not in ("gain_db", "ray_traced")
-        if prod(array.chunks) * array.dtype.itemsize > _MAX_CHUNK_BYTES or (whole and array.nbytes > _MAX_SMALL_BYTES):
+        if prod(array.chunks) * array.dtype.itemsize > _MAX_CHUNK_BYTES or (
+            whole and array.nbytes > _MAX_SMALL_BYTES
+        ):
             raise InputError(
-                f"{path}: {name} has shape {array.shape} in chunks of {array.chunks}, too large to be read; it is not opened"
+                f"{path}: {name} has shape {array.shape} in chunks of {array.chunks}, too large to "
+                "be read; it is not opened"
             )
     if arrays["gain_db"].chunks != arrays["ray_traced"].chunks:
-        raise InputError(f"{path}: gain_db and ray_traced must have the same chunks; build the data set anew")
+        raise InputError(
+            f"{path}: gain_db and ray_traced must have the same chunks; build the data set anew"
+        )
     return arrays, dict(group.attrs)
 
 
@@ -320,5 +368,12 @@ def _grid(x: NDArray[np.floating], y: NDArray[np.floating], path: Path) -> Grid:
     """The grid whose cell centres are ``x[col]`` and ``y[row]``."""
     steps = np.concatenate([np.diff(x.astype(float)), np.diff(y.astype(float))])
     if len(x) < 2 or len(y) < 2 or not np.allclose(steps, steps[0], rtol=1e-4) or not steps[0] > 0:
-        raise InputError(f"{path}: x and y must be at least two cell centres at equal, growing steps; build the data set anew")
-    return Grid(shape=(len(y), len(x)), spacing_m=float(round(steps.mean(), 6)), origin_m=(float(x[0]), float(y[0])))
+        raise InputError(
+            f"{path}: x and y must be at least two cell centres at equal, growing steps; build the "
+            "data set anew"
+        )
+    return Grid(
+        shape=(len(y), len(x)),
+        spacing_m=float(round(steps.mean(), 6)),
+        origin_m=(float(x[0]), float(y[0])),
+    )

@@ -21,9 +21,10 @@ def dataset_info(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Counts and statistics of a data set; every map is read once.
 
     Returns:
-        ``file_bytes``, ``grid``, ``cities`` and ``links`` by split, ``attributes``, and under ``altitudes`` for each altitude the
-        number of ``maps``, the ``outdoor_share`` of cells, the ``ray_traced_share`` of the outdoor cells, and ``gain_db``, the
-        percentiles of the gain outdoors (resolved to 0.1 dB).
+        ``file_bytes``, ``grid``, ``cities`` and ``links`` by split, ``attributes``, and under
+        ``altitudes`` for each altitude the number of ``maps``, the ``outdoor_share`` of cells, the
+        ``ray_traced_share`` of the outdoor cells, and ``gain_db``, the percentiles of the gain
+        outdoors (resolved to 0.1 dB).
 
     Raises:
         InputError: the file is not a data set, or damaged.
@@ -36,7 +37,9 @@ def dataset_info(path: str | os.PathLike[str]) -> dict[str, Any]:
         "grid": {"shape": list(dataset.grid.shape), "spacing_m": dataset.grid.spacing_m},
         "cities": {s: len(in_split[s]) for s in splits},
         "links": {s: sum(int(i) in in_split[s] for i in dataset.city_index) for s in splits},
-        "altitudes": {f"{altitude:g}": _statistics(dataset, altitude) for altitude in dataset.altitudes_m},
+        "altitudes": {
+            f"{altitude:g}": _statistics(dataset, altitude) for altitude in dataset.altitudes_m
+        },
         "attributes": dataset.attributes,
     }
 
@@ -46,7 +49,8 @@ def describe_dataset(path: str | os.PathLike[str]) -> str:
     info = dataset_info(path)
     rows, cols = info["grid"]["shape"]
     lines = [
-        f"{path}: {info['file_bytes'] / 1e6:.1f} MB, maps of {rows} x {cols} cells of {info['grid']['spacing_m']:g} m",
+        f"{path}: {info['file_bytes'] / 1e6:.1f} MB, maps of {rows} x {cols} cells of "
+        f"{info['grid']['spacing_m']:g} m",
         "",
         "split  cities  links",
         *(f"{s:5}  {info['cities'][s]:6}  {info['links'][s]:5}" for s in info["cities"]),
@@ -56,7 +60,11 @@ def describe_dataset(path: str | os.PathLike[str]) -> str:
     ]
     for altitude, level in info["altitudes"].items():
         gains = "".join(f"{g:8.1f}" for g in level["gain_db"].values())
-        shares = f"{level['outdoor_share']:7.1%}  {level['ray_traced_share']:10.1%}" if level["maps"] else f"{'-':>7}  {'-':>10}"
+        shares = (
+            f"{level['outdoor_share']:7.1%}  {level['ray_traced_share']:10.1%}"
+            if level["maps"]
+            else f"{'-':>7}  {'-':>10}"
+        )
         lines.append(f"{altitude + ' m':>8}  {level['maps']:5}  {shares}{gains}")
     lines.append("")
     lines += [f"{name}: {value}" for name, value in info["attributes"].items()]
@@ -81,6 +89,8 @@ def _statistics(dataset: ChannelDataset, altitude_m: float) -> dict[str, Any]:
         "outdoor_share": outdoor / (len(links) * dataset.grid.size) if links else None,
         "ray_traced_share": traced / outdoor if outdoor else None,
         "gain_db": {
-            f"{p}%": round(float(middle[np.searchsorted(below, p / 100 * below[-1])]), 2) for p in _PERCENTILES if below[-1]
+            f"{p}%": round(float(middle[np.searchsorted(below, p / 100 * below[-1])]), 2)
+            for p in _PERCENTILES
+            if below[-1]
         },
     }

@@ -1,8 +1,8 @@
 """Writing a data set so that the same numbers always give the same bytes.
 
-Zarr's own zip store writes the time of day into every entry, in the order in which chunks happen to finish. Here the chunks are
-compressed in memory first; then they go into the zip file sorted by name and with one fixed date. The file appears under its
-name only when it is complete.
+Zarr's own zip store writes the time of day into every entry, in the order in which chunks happen to
+finish. Here the chunks are compressed in memory first; then they go into the zip file sorted by
+name and with one fixed date. The file appears under its name only when it is complete.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from skygain.datasets.layout import AXIS, EDGE, SPLITS, VARIABLES, CityRecord
-from skygain.errors import InputError
-from skygain.files import atomic_write
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
 
 _LINKS_PER_CHUNK = 16
 _CITIES_PER_CHUNK = 75
@@ -41,8 +41,8 @@ def write_dataset(
 
     Args:
         path: the zip file; replaced if it exists.
-        records: the cities in order. They are gone through twice and only one of them is held at a time, so a sequence that
-            loads its items when they are asked for keeps memory small.
+        records: the cities in order. They are gone through twice and only one of them is held at a
+            time, so a sequence that loads its items when they are asked for keeps memory small.
         grid: the grid that all cities share.
         altitudes_m: the altitudes along the dimension ``altitude`` of every record's maps.
         attributes: where the numbers come from; ``frequency_hz`` must be among them.
@@ -51,7 +51,8 @@ def write_dataset(
         The path. Equal arguments give equal bytes, with the same releases of Zarr and its codecs.
 
     Raises:
-        InputError: there is no link to write, the records do not fit together, or the file cannot be written.
+        InputError: there is no link to write, the records do not fit together, or the file cannot
+            be written.
     """
     path = Path(path)
     tx_m, city_index, buildings, heights, splits, numbers = [], [], [], [], [], []
@@ -64,7 +65,9 @@ def write_dataset(
         splits.append(record.split)
         numbers.append(record.number)
     if not city_index:
-        raise InputError("a data set needs at least one link, got none; add cities with outdoor transmitters")
+        raise InputError(
+            "a data set needs at least one link, got none; add cities with outdoor transmitters"
+        )
     most = max(1, max(len(b) for b in buildings))
     building = np.full((len(buildings), most, 5), np.nan)
     for i, rectangles in enumerate(buildings):
@@ -83,7 +86,10 @@ def write_dataset(
         "edge": np.array(EDGE),
     }
     entries = _compressed(
-        small, records, (len(city_index), len(altitudes_m), *grid.shape), {"spacing_m": grid.spacing_m, **attributes}
+        small,
+        records,
+        (len(city_index), len(altitudes_m), *grid.shape),
+        {"spacing_m": grid.spacing_m, **attributes},
     )
     _write_zip(path, entries)
     return path
@@ -92,17 +98,28 @@ def write_dataset(
 def _check(record: CityRecord, grid: Grid, n_altitudes: int) -> None:
     """Raise `InputError` if a record does not fit the data set."""
     maps = (len(record.tx_m), n_altitudes, *grid.shape)
-    if record.height_m.shape != grid.shape or record.gain_db.shape != maps or record.ray_traced.shape != maps:
+    if (
+        record.height_m.shape != grid.shape
+        or record.gain_db.shape != maps
+        or record.ray_traced.shape != maps
+    ):
         raise InputError(
-            f"city {record.number}: expected heights {grid.shape} and maps {maps}, got {record.height_m.shape}, "
-            f"{record.gain_db.shape} and {record.ray_traced.shape}; all cities of a data set share grid and altitudes"
+            f"city {record.number}: expected heights {grid.shape} and maps {maps}, got "
+            f"{record.height_m.shape}, "
+            f"{record.gain_db.shape} and {record.ray_traced.shape}; all cities of a data set share "
+            "grid and altitudes"
         )
     if record.split not in SPLITS:
-        raise InputError(f"city {record.number}: unknown split {record.split!r}; known: {', '.join(SPLITS)}")
+        raise InputError(
+            f"city {record.number}: unknown split {record.split!r}; known: {', '.join(SPLITS)}"
+        )
 
 
 def _compressed(
-    small: Mapping[str, np.ndarray], records: Iterable[CityRecord], shape: tuple[int, ...], attributes: Mapping[str, Any]
+    small: Mapping[str, np.ndarray],
+    records: Iterable[CityRecord],
+    shape: tuple[int, ...],
+    attributes: Mapping[str, Any],
 ) -> dict[str, Any]:
     """All entries of the zip file by name, as Zarr's buffers."""
     import zarr
@@ -110,19 +127,27 @@ def _compressed(
 
     entries: dict[str, Any] = {}
     with warnings.catch_warnings():
-        # the type of fixed-length text awaits its final specification; xarray and this package read it all the same
+        # the type of fixed-length text awaits its final specification; xarray and this package read
+        # it all the same
         warnings.simplefilter("ignore")
-        group = zarr.create_group(zarr.storage.MemoryStore(entries), zarr_format=3, attributes=dict(attributes))
+        group = zarr.create_group(
+            zarr.storage.MemoryStore(entries), zarr_format=3, attributes=dict(attributes)
+        )
         arrays = {}
         for name, (dimensions, kind) in VARIABLES.items():
             dtype = np.dtype(kind)
             full = small[name].shape if name in small else shape
-            limits = {"link": _LINKS_PER_CHUNK if len(full) > 2 else full[0], "altitude": 1 if len(full) > 1 else full[0]}
+            limits = {
+                "link": _LINKS_PER_CHUNK if len(full) > 2 else full[0],
+                "altitude": 1 if len(full) > 1 else full[0],
+            }
             limits["city"] = _CITIES_PER_CHUNK if len(full) > 1 else full[0]
             arrays[name] = group.create_array(
                 name,
                 shape=full,
-                chunks=tuple(min(size, limits.get(d, size)) for d, size in zip(dimensions, full, strict=True)),
+                chunks=tuple(
+                    min(size, limits.get(d, size)) for d, size in zip(dimensions, full, strict=True)
+                ),
                 dtype=dtype,
                 dimension_names=dimensions,
                 fill_value={"f": np.nan, "b": False, "i": 0, "U": ""}[dtype.kind],
@@ -141,7 +166,8 @@ def _compressed(
 
 
 class _ChunkFiller:
-    """Fills a Zarr array along its first dimension in whole chunks, so that each is compressed once."""
+    """Fills a Zarr array along its first dimension in whole chunks, so that each is compressed
+    once."""
 
     def __init__(self, array: Any) -> None:
         self._array, self._start = array, 0
@@ -163,7 +189,10 @@ class _ChunkFiller:
 
 def _write_zip(path: Path, entries: Mapping[str, Any]) -> None:
     """Write the entries, sorted and with one fixed date."""
-    with atomic_write(path) as unfinished, zipfile.ZipFile(unfinished, "w", zipfile.ZIP_STORED) as archive:
+    with (
+        atomic_write(path) as unfinished,
+        zipfile.ZipFile(unfinished, "w", zipfile.ZIP_STORED) as archive,
+    ):
         for name in sorted(entries):
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             info.create_system, info.external_attr = 3, 0o644 << 16  # the same on every system

@@ -6,14 +6,15 @@ __all__ = ["ENVIRONMENT_ID", "make", "make_single"]
 
 from typing import Any
 
-from skygain.errors import require
+from skygain.ground.errors import require
 
 ENVIRONMENT_ID = "skygain/ActiveMapping-v0"
 """name and version; a change of observation, action or reward raises the version"""
 
 
 def make(**options: Any) -> Any:
-    """The PettingZoo environment, see `skygain.environments.active_mapping.ActiveMapping` for the options.
+    """The PettingZoo environment, see `skygain.environments.active_mapping.ActiveMapping` for the
+    options.
 
     Raises:
         InputError: PettingZoo is not installed; the message names the extra.

@@ -1,15 +1,19 @@
-"""`skygain/ActiveMapping-v0`: the paper's multi-agent decision process (section VI-C) as a PettingZoo environment.
+"""`skygain/ActiveMapping-v0`: the paper's multi-agent decision process (section VI-C) as a
+PettingZoo environment.
 
-=============  ====================================================================================================================
-agents         ``uav_0`` … ``uav_{N−1}``, all acting at the same time, alive until step T
-action         ``Discrete(4)``: north, east, south, west
-observation    ``{"observation": Box(5, side, side), "action_mask": Box(4)}``; planes mean, standard deviation, heights, all positions,
-               own position, scaled to 0..1 (`skygain.environments.observation`)
-reward         r_e for a cell nobody has visited, at t < T; −r_r ‖μ − x‖₂ over unobstructed cells at t = T, the same for all; optionally
+=============
+====================================================================================================================
+agents         ``uav_0`` … ``uav_{N−1}``, all acting at the same time, alive until step T action
+``Discrete(4)``: north, east, south, west observation    ``{"observation": Box(5, side, side),
+"action_mask": Box(4)}``; planes mean, standard deviation, heights, all positions,
+               own position, scaled to 0..1 (`skygain.networks.policies.planes`)
+reward         r_e for a cell nobody has visited, at t < T; −r_r ‖μ − x‖₂ over unobstructed cells at
+t = T, the same for all; optionally
                potential-based shaping (`skygain.environments.rewards`)
 end            terminated at step T; never truncated
-rules          the swarm's: a move that meets an obstacle or another UAV is replaced by a legal one, UAVs choosing in their order
-=============  ====================================================================================================================
+rules          the swarm's: a move that meets an obstacle or another UAV is replaced by a legal one,
+UAVs choosing in their order =============
+====================================================================================================================
 """
 
 from __future__ import annotations
@@ -24,12 +28,12 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from skygain.environments import ENVIRONMENT_ID
-from skygain.environments.observation import PLANES
 from skygain.environments.rewards import RewardConfig
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
 from skygain.environments.worlds import LinkWorlds, Worlds
+from skygain.flight.swarm import FlightRules
+from skygain.networks.policies.planes import PLANES
 from skygain.predictors.base import Predictor
-from skygain.swarm import FlightRules
 
 Observation = dict[str, NDArray[Any]]
 
@@ -37,7 +41,11 @@ Observation = dict[str, NDArray[Any]]
 class ActiveMapping(ParallelEnv):
     """See the module."""
 
-    metadata: ClassVar[dict[str, Any]] = {"name": ENVIRONMENT_ID, "render_modes": [], "is_parallelizable": True}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": ENVIRONMENT_ID,
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
 
     def __init__(
         self,
@@ -50,9 +58,11 @@ class ActiveMapping(ParallelEnv):
         rules: FlightRules = FlightRules(),
         transmitter_known: bool = False,
     ) -> None:
-        """Episodes in ``worlds`` (by default those that ship with the package), mapped by ``predictor`` (an object or a name).
+        """Episodes in ``worlds`` (by default those that ship with the package), mapped by
+        ``predictor`` (an object or a name).
 
-        The transmitter's position is told to a predictor that cannot do without, and to others with ``transmitter_known``.
+        The transmitter's position is told to a predictor that cannot do without, and to others with
+        ``transmitter_known``.
         """
         from skygain.predictors import create_predictor
 
@@ -85,7 +95,8 @@ class ActiveMapping(ParallelEnv):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """The first observation of the first episode of ``seed``; without a seed, of the next episode of the same stream."""
+        """The first observation of the first episode of ``seed``; without a seed, of the next
+        episode of the same stream."""
         if self._surveys is None or seed is not None:
             self._surveys = SurveyBatch(
                 self.worlds,
@@ -102,26 +113,35 @@ class ActiveMapping(ParallelEnv):
 
     def step(
         self, actions: dict[str, int]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
         """One joint step; see the module."""
         if not self.agents or self._surveys is None:
             return {}, {}, {}, {}, {}
         step = self._surveys.step(np.array([[actions[agent] for agent in self.possible_agents]]))
         ended = bool(step.ended[0])
         seen = self._observed()
-        rewarded = {agent: float(r) for agent, r in zip(self.possible_agents, step.reward[0], strict=True)}
+        rewarded = {
+            agent: float(r) for agent, r in zip(self.possible_agents, step.reward[0], strict=True)
+        }
         infos = self._infos()
         if ended:
             self.agents = []
         return seen, rewarded, dict.fromkeys(seen, ended), dict.fromkeys(seen, False), infos
 
     def state(self) -> NDArray[np.float32]:
-        """``[plane, row, col]`` what all UAVs see together: the observation without the own position."""
+        """``[plane, row, col]`` what all UAVs see together: the observation without the own
+        position."""
         assert self._surveys is not None
         return self._surveys.observations()[0, 0, :-1]
 
     def render(self) -> None:
-        """There is no picture; see `skygain.evaluation.pictures` for those of a survey."""
+        """There is no picture; see `skygain.reports.pictures` for those of a survey."""
 
     def close(self) -> None:
         """Nothing to release."""
@@ -129,12 +149,19 @@ class ActiveMapping(ParallelEnv):
     def _observed(self) -> dict[str, Observation]:
         assert self._surveys is not None
         seen, masks = self._surveys.observations()[0], self._surveys.masks()[0].astype(np.int8)
-        return {agent: {"observation": seen[k], "action_mask": masks[k]} for k, agent in enumerate(self.possible_agents)}
+        return {
+            agent: {"observation": seen[k], "action_mask": masks[k]}
+            for k, agent in enumerate(self.possible_agents)
+        }
 
     def _infos(self) -> dict[str, dict[str, Any]]:
         assert self._surveys is not None
         flown, rmse = int(self._surveys.steps_flown[0]), float(self._surveys.rmse_db[0])
         return {
-            agent: {"step": flown, "rmse_db": rmse, "cell": tuple(self._surveys.cells[0, k].tolist())}
+            agent: {
+                "step": flown,
+                "rmse_db": rmse,
+                "cell": tuple(self._surveys.cells[0, k].tolist()),
+            }
             for k, agent in enumerate(self.possible_agents)
         }

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class RewardConfig:
     def __post_init__(self) -> None:
         if min(self.explore, self.error) < 0 or not 0 < self.discount <= 1:
             raise InputError(
-                f"rewards need explore, error >= 0 and a discount in (0, 1], got {self.explore}, {self.error} and {self.discount}"
+                f"rewards need explore, error >= 0 and a discount in (0, 1], got {self.explore}, "
+                f"{self.error} and {self.discount}"
             )
 
 
@@ -45,10 +46,14 @@ def rewards(
 ) -> NDArray[np.float32]:
     """``[survey, uav]`` rewards of one joint step.
 
-    ``new_cells[survey, uav]`` says who found a new cell; ``ended[survey]`` where T was reached; the errors are ‖μ − x‖₂ per survey
-    before and after the step. The exploration reward is for 1 ≤ t < T, the error's for t = T, as in the paper.
+    ``new_cells[survey, uav]`` says who found a new cell; ``ended[survey]`` where T was reached; the
+    errors are ‖μ − x‖₂ per survey before and after the step. The exploration reward is for 1 ≤ t <
+    T, the error's for t = T, as in the paper.
     """
-    out = config.explore * (new_cells & ~ended[:, None]) - config.error * np.where(ended, error_after_db, 0.0)[:, None]
+    out = (
+        config.explore * (new_cells & ~ended[:, None])
+        - config.error * np.where(ended, error_after_db, 0.0)[:, None]
+    )
     if config.shaping:
         ahead = np.where(ended, 0.0, -config.error * error_after_db)
         out = out + (config.discount * ahead + config.error * error_before_db)[:, None]

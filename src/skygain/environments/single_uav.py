@@ -23,7 +23,9 @@ class SingleUavMapping(gymnasium.Env[dict[str, NDArray[Any]], np.int64]):
         self.observation_space = self.swarm.observation_space(self._agent)  # type: ignore[assignment]
         self.action_space = self.swarm.action_space(self._agent)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """See `ActiveMapping.reset`."""
         super().reset(seed=seed)
         observed, infos = self.swarm.reset(seed, options)
@@ -31,6 +33,8 @@ class SingleUavMapping(gymnasium.Env[dict[str, NDArray[Any]], np.int64]):
 
     def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """See `ActiveMapping.step`."""
-        observed, rewarded, terminated, truncated, infos = self.swarm.step({self._agent: int(action)})
+        observed, rewarded, terminated, truncated, infos = self.swarm.step(
+            {self._agent: int(action)}
+        )
         agent = self._agent
         return observed[agent], rewarded[agent], terminated[agent], truncated[agent], infos[agent]

@@ -1,7 +1,8 @@
 """Many surveys stepped together: the vectorised environment that learners train in.
 
-Lane ℓ plays its episode k in a world drawn from the stream (seed, ℓ, k), so an episode is a function of these three numbers and of the
-actions taken, whatever the other lanes do. A network predictor is run once per step for all lanes; other beliefs are updated one by one.
+Lane ℓ plays its episode k in a world drawn from the stream (seed, ℓ, k), so an episode is a
+function of these three numbers and of the actions taken, whatever the other lanes do. A network
+predictor is run once per step for all lanes; other beliefs are updated one by one.
 """
 
 from __future__ import annotations
@@ -15,19 +16,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.environments.observation import action_masks, packed_height, packed_mean, packed_std, planes
 from skygain.environments.rewards import RewardConfig, rewards
 from skygain.environments.worlds import World, Worlds
-from skygain.errors import InputError
+from skygain.flight.airspace import Airspace, resolve_step
+from skygain.flight.swarm import FlightRules, Swarm
+from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
-from skygain.planners.flight import Airspace, resolve_step
+from skygain.networks.policies.planes import (
+    action_masks,
+    packed_height,
+    packed_mean,
+    packed_std,
+    planes,
+)
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
-from skygain.predictors.network_belief import NetworkBelief, posteriors_together
-from skygain.swarm import FlightRules, Swarm
+from skygain.predictors.networks.network_belief import NetworkBelief, posteriors_together
 
 PREFERENCE = np.array([0.0, -1.0, -2.0, -3.0]) * 1e-3
-"""a UAV whose move is blocked by another one takes its first legal move in the order north, east, south, west"""
+"""a UAV whose move is blocked by another one takes its first legal move in the order north, east,
+south, west"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,10 @@ class EnvironmentConfig:
 
     def __post_init__(self) -> None:
         if self.n_uavs < 1 or self.steps < 1:
-            raise InputError(f"an environment needs n_uavs >= 1 and steps >= 1, got {self.n_uavs} and {self.steps}")
+            raise InputError(
+                f"an environment needs n_uavs >= 1 and steps >= 1, got {self.n_uavs} and "
+                f"{self.steps}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +70,11 @@ class Step:
     reward: NDArray[np.float32]
     """``[survey, uav]``"""
     ended: NDArray[np.bool_]
-    """``[survey]`` whether T was reached; the lane is in its next episode already if the batch restarts by itself"""
+    """``[survey]`` whether T was reached; the lane is in its next episode already if the batch
+    restarts by itself"""
     returns: NDArray[np.float64]
-    """``[survey]`` sum of rewards of the mean UAV so far, of the episode that this step belongs to"""
+    """``[survey]`` sum of rewards of the mean UAV so far, of the episode that this step belongs
+    to"""
     rmse_db: NDArray[np.float64]
     """``[survey]`` RMSE over unvisited outdoor cells after the step, NaN without a predictor"""
 
@@ -79,7 +92,8 @@ class _Lane:
 
 
 class SurveyBatch:
-    """``n_surveys`` surveys of equal shape. State changes in place; see `lanes_state` for how to save it."""
+    """``n_surveys`` surveys of equal shape. State changes in place; see `lanes_state` for how to
+    save it."""
 
     def __init__(
         self,
@@ -96,17 +110,21 @@ class SurveyBatch:
 
         Args:
             worlds: where episodes come from.
-            predictor: what maps the readings; ``None`` leaves mean and variance at zero and rewards exploration only.
+            predictor: what maps the readings; ``None`` leaves mean and variance at zero and rewards
+                exploration only.
             config: the kind of episode.
             n_surveys: lanes.
             seed: of everything that is random here.
-            transmitter_known: tell the predictor the transmitter; always so if it cannot do without.
+            transmitter_known: tell the predictor the transmitter; always so if it cannot do
+                without.
             restart: begin a lane's next episode as soon as one ends.
         """
         self.worlds, self.predictor, self.n_surveys = worlds, predictor, n_surveys
         config = self.config = config or EnvironmentConfig()
         self.seed, self.restart = seed, restart
-        self._tells = transmitter_known or (predictor is not None and predictor.transmitter == "required")
+        self._tells = transmitter_known or (
+            predictor is not None and predictor.transmitter == "required"
+        )
         shape = (n_surveys, worlds.side, worlds.side)
         self.mean, self.std, self.height = (np.zeros(shape, dtype=np.uint8) for _ in range(3))
         self.flyable = np.zeros(shape, dtype=bool)
@@ -137,7 +155,7 @@ class SurveyBatch:
         return np.stack([lane.world.truth_db[tuple(lane.swarm.cells.T)] for lane in self._lanes])
 
     def observations(self) -> NDArray[np.float32]:
-        """``[survey, uav, plane, row, col]``, see `skygain.environments.observation`."""
+        """``[survey, uav, plane, row, col]``, see `skygain.networks.policies.planes`."""
         n = self.config.n_uavs
         which = np.repeat(np.arange(self.n_surveys), n)
         uav = np.tile(np.arange(n), self.n_surveys)
@@ -151,14 +169,22 @@ class SurveyBatch:
     def step(self, actions: ArrayLike) -> Step:
         """Fly ``actions[survey, uav]`` (0 to 3: north, east, south, west).
 
-        A move into a building or off the map, or into the way of another UAV, is replaced by a legal one; UAVs choose in their order.
+        A move into a building or off the map, or into the way of another UAV, is replaced by a
+        legal one; UAVs choose in their order.
 
         Raises:
             InputError: actions of another shape or outside 0..3.
         """
         actions = np.asarray(actions, dtype=np.int64)
-        if actions.shape != (self.n_surveys, self.config.n_uavs) or actions.min() < 0 or actions.max() > 3:
-            raise InputError(f"actions must be moves 0..3 of shape {(self.n_surveys, self.config.n_uavs)}, got {actions.shape}")
+        if (
+            actions.shape != (self.n_surveys, self.config.n_uavs)
+            or actions.min() < 0
+            or actions.max() > 3
+        ):
+            raise InputError(
+                f"actions must be moves 0..3 of shape {(self.n_surveys, self.config.n_uavs)}, got "
+                f"{actions.shape}"
+            )
         before = self.error_db.copy()
         new = np.stack([self._moved(lane, actions[k]) for k, lane in enumerate(self._lanes)])
         self._look(range(self.n_surveys))
@@ -166,7 +192,9 @@ class SurveyBatch:
         reward = rewards(self.config.reward, new, ended, before, self.error_db)
         for lane, gained in zip(self._lanes, reward.mean(axis=1), strict=True):
             lane.returned += float(gained)
-        step = Step(reward, ended, np.array([lane.returned for lane in self._lanes]), self.rmse_db.copy())
+        step = Step(
+            reward, ended, np.array([lane.returned for lane in self._lanes]), self.rmse_db.copy()
+        )
         if self.restart and ended.any():
             over = np.flatnonzero(ended).tolist()
             self.begin_episodes(over, self.episode[over] + 1)
@@ -180,7 +208,8 @@ class SurveyBatch:
         self._look(lanes)
 
     def lanes_state(self) -> list[dict[str, Any]]:
-        """For each lane the number of its episode and the actions taken in it: all it takes to come back here."""
+        """For each lane the number of its episode and the actions taken in it: all it takes to come
+        back here."""
         return [
             {"episode": int(k), "actions": [a.tolist() for a in lane.actions]}
             for k, lane in zip(self.episode, self._lanes, strict=True)
@@ -189,22 +218,43 @@ class SurveyBatch:
     def restore(self, state: Sequence[dict[str, Any]]) -> None:
         """Come back to what `lanes_state` described, by flying it again."""
         self.begin_episodes(range(self.n_surveys), [s["episode"] for s in state])
-        # Lanes are looked at together, as they were the first time: a network's last bits depend on the size of its batch.
+        # Lanes are looked at together, as they were the first time: a network's last bits depend on
+        # the size of its batch.
         for t in range(max((len(s["actions"]) for s in state), default=0)):
             flown = [k for k, s in enumerate(state) if t < len(s["actions"])]
             before = self.error_db[flown].copy()
-            new = np.stack([self._moved(self._lanes[k], np.asarray(state[k]["actions"][t], dtype=np.int64)) for k in flown])
+            new = np.stack(
+                [
+                    self._moved(self._lanes[k], np.asarray(state[k]["actions"][t], dtype=np.int64))
+                    for k in flown
+                ]
+            )
             self._look(flown)
-            gained = rewards(self.config.reward, new, np.zeros(len(flown), dtype=bool), before, self.error_db[flown])
+            gained = rewards(
+                self.config.reward,
+                new,
+                np.zeros(len(flown), dtype=bool),
+                before,
+                self.error_db[flown],
+            )
             for k, value in zip(flown, gained.mean(axis=1), strict=True):
                 self._lanes[k].returned += float(value)
 
     def _begun(self, lane: int) -> _Lane:
-        world = self.worlds.draw(np.random.default_rng([self.seed, lane, int(self.episode[lane])]), self.config.n_uavs)
+        world = self.worlds.draw(
+            np.random.default_rng([self.seed, lane, int(self.episode[lane])]), self.config.n_uavs
+        )
         scenario = world.scenario if self._tells else world.scenario.without_transmitter()
         swarm = Swarm.deployed(scenario, world.start, self.config.steps, self.config.rules)
-        belief = None if self.predictor is None else self.predictor.begin(scenario).updated(_readings(world, swarm.cells))
-        self.height[lane], self.flyable[lane] = packed_height(scenario.city.height_m), scenario.flyable
+        belief = (
+            None
+            if self.predictor is None
+            else self.predictor.begin(scenario).updated(_readings(world, swarm.cells))
+        )
+        self.height[lane], self.flyable[lane] = (
+            packed_height(scenario.city.height_m),
+            scenario.flyable,
+        )
         self.cells[lane] = swarm.cells
         return _Lane(world, swarm, belief, np.asarray(scenario.outdoor))
 
@@ -214,7 +264,9 @@ class SurveyBatch:
         score = np.tile(PREFERENCE, (swarm.n_uavs, 1))
         score[np.arange(swarm.n_uavs), actions] = 1.0
         then = np.empty((swarm.n_uavs, 2), dtype=np.int64)
-        resolve_step(np.ascontiguousarray(swarm.cells), score, swarm.steps_left, 0, Airspace.of(swarm), then)
+        resolve_step(
+            np.ascontiguousarray(swarm.cells), score, swarm.steps_left, 0, Airspace.of(swarm), then
+        )
         moved = (then != swarm.cells).any(axis=1)
         new = moved & ~swarm.visited[then[:, 0], then[:, 1]]
         lane.swarm = swarm.advanced(then)
@@ -229,9 +281,14 @@ class SurveyBatch:
             self.cells[k] = self._lanes[k].swarm.cells
         if self.predictor is None:
             return
-        for k, posterior in zip(lanes, _posteriors([self._lanes[k].belief for k in lanes]), strict=True):
+        for k, posterior in zip(
+            lanes, _posteriors([self._lanes[k].belief for k in lanes]), strict=True
+        ):
             lane = self._lanes[k]
-            self.mean[k], self.std[k] = packed_mean(posterior.mean_db), packed_std(posterior.variance_db2)
+            self.mean[k], self.std[k] = (
+                packed_mean(posterior.mean_db),
+                packed_std(posterior.variance_db2),
+            )
             square = (posterior.mean_db - lane.world.truth_db) ** 2
             self.error_db[k] = np.sqrt(square[lane.outdoor].sum())
             self.rmse_db[k] = np.sqrt(square[lane.outdoor & ~lane.swarm.visited].mean())

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skygain.city import City
-from skygain.errors import InputError
+from skygain.flight.starts import STARTS, start_cells
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
-from skygain.starts import STARTS, start_cells
 
 if TYPE_CHECKING:
-    from skygain.learning.links import Links
+    from skygain.datasets.links import Links
 
 _FREE_SHARE = 0.25
 """a window whose largest connected flyable part is smaller than this is drawn again"""
@@ -79,21 +79,28 @@ class LinkWorlds:
 
     @cached_property
     def _links(self) -> Links:
-        from skygain.learning.links import load_links
+        from skygain.datasets.links import load_links
 
-        path = str(files("skygain") / "data" / "sample.zarr.zip") if self.data == "sample" else self.data
+        path = (
+            str(files("skygain") / "data" / "sample.zarr.zip")
+            if self.data == "sample"
+            else self.data
+        )
         return load_links(path, self.split)
 
     def draw(self, rng: np.random.Generator, n_uavs: int) -> World:
         """See `Worlds`.
 
         Raises:
-            InputError: the split has no maps at this altitude, or no window with room for the swarm was found.
+            InputError: the split has no maps at this altitude, or no window with room for the swarm
+                was found.
         """
         odds = (self._links.altitude_m == self.altitude_m).astype(float)
         if not (self._links.available @ odds).any():
             known = ", ".join(f"{a:g}" for a in self._links.altitude_m)
-            raise InputError(f"{self.data} has no maps at {self.altitude_m:g} m; altitudes: {known}")
+            raise InputError(
+                f"{self.data} has no maps at {self.altitude_m:g} m; altitudes: {known}"
+            )
         kind = self._kinds[int(rng.integers(len(self._kinds)))]
         grid = Grid((self.side, self.side), self._links.spacing_m)
         for _ in range(_DRAWS):
@@ -110,6 +117,11 @@ class LinkWorlds:
                 scenario = Scenario(city, view.altitude_m, view.altitude_m, transmitter_m=place)
                 reachable = Scenario(city, view.altitude_m, view.altitude_m, no_fly=~part)
                 return World(scenario, view.gain_db, start_cells(kind, reachable, n_uavs, rng))
-            except InputError:  # a transmitter in a cell that counts as built up, or no square with room: the next window
+            # a transmitter in a cell that counts as built up, or no square with room: the next
+            # window
+            except InputError:
                 continue
-        raise InputError(f"{self.data}: found no window of {self.side} cells for {n_uavs} UAVs in {_DRAWS} draws; use fewer UAVs")
+        raise InputError(
+            f"{self.data}: found no window of {self.side} cells for {n_uavs} UAVs in {_DRAWS} "
+            "draws; use fewer UAVs"
+        )

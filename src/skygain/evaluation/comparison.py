@@ -1,8 +1,10 @@
 """Many surveys, several methods, one paired table.
 
-Each (case, method) pair is an independent rollout. They run in worker processes, each result is a line of ``rollouts.jsonl`` as
-soon as it is there, and a run that was killed goes on where it stopped: lines already written are not flown again. Rollouts are
-deterministic, so neither the number of workers nor an interruption changes the table.
+Each (case, method) pair is an independent rollout. They run in worker processes, each result is a
+line of ``rollouts.jsonl`` as
+soon as it is there, and a run that was killed goes on where it stopped: lines already written are
+not flown again. Rollouts are deterministic, so neither the number of workers nor an interruption
+changes the table.
 """
 
 from __future__ import annotations
@@ -22,12 +24,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.errors import InputError
-from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.rollout import rollout
-from skygain.files import writable_folder
-from skygain.swarm import FlightRules
-from skygain.workers import process_pool
+from skygain.flight.swarm import FlightRules
+from skygain.ground.errors import InputError
+from skygain.ground.executor import process_pool
+from skygain.ground.files import writable_folder
+from skygain.survey.methods import MethodSpec
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
@@ -57,7 +59,8 @@ class ComparisonConfig:
     altitude_m: float = 10.0
     """altitude of flight and prediction"""
     max_surveys: int | None = None
-    """at most this many surveys, spread evenly over the cities; ``None`` flies one per transmitter of the split"""
+    """at most this many surveys, spread evenly over the cities; ``None`` flies one per transmitter
+    of the split"""
     crop: int = 96
     """side in cells of the random window that is surveyed; 0 takes whole maps"""
     record_every: int = 25
@@ -73,13 +76,24 @@ class ComparisonConfig:
 
     def __post_init__(self) -> None:
         if not self.methods:
-            raise InputError("a comparison needs at least one predictor and one planner; give names separated by commas")
+            raise InputError(
+                "a comparison needs at least one predictor and one planner; give names separated "
+                "by commas"
+            )
         if self.steps < 1 or self.record_every < 1:
-            raise InputError(f"steps and record_every must be 1 or more, got {self.steps} and {self.record_every}")
+            raise InputError(
+                f"steps and record_every must be 1 or more, got {self.steps} and "
+                f"{self.record_every}"
+            )
         if self.crop < 0:
-            raise InputError(f"crop must be a number of cells, or 0 for whole maps, got {self.crop}")
+            raise InputError(
+                f"crop must be a number of cells, or 0 for whole maps, got {self.crop}"
+            )
         if self.max_surveys is not None and self.max_surveys < 1:
-            raise InputError(f"max_surveys must be 1 or more, got {self.max_surveys}; leave it out to fly every survey")
+            raise InputError(
+                f"max_surveys must be 1 or more, got {self.max_surveys}; leave it out to fly every "
+                "survey"
+            )
         if not (self.noise_db >= 0 and np.isfinite(self.noise_db)):
             raise InputError(f"noise must be 0 dB or more, got {self.noise_db}")
 
@@ -96,14 +110,20 @@ class ComparisonConfig:
 
     @property
     def fingerprint(self) -> str:
-        """Same for runs whose rollouts may be mixed: everything but the list of methods and the number of surveys."""
-        kept = {k: v for k, v in asdict(self).items() if k not in ("predictors", "planners", "pairs", "max_surveys")}
+        """Same for runs whose rollouts may be mixed: everything but the list of methods and the
+        number of surveys."""
+        kept = {
+            k: v
+            for k, v in asdict(self).items()
+            if k not in ("predictors", "planners", "pairs", "max_surveys")
+        }
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The scores of every method in every case; row ``i`` of each array is the same case for every method."""
+    """The scores of every method in every case; row ``i`` of each array is the same case for every
+    method."""
 
     config: ComparisonConfig
     """what was compared"""
@@ -119,7 +139,14 @@ class Comparison:
 
 @lru_cache(maxsize=2)
 def _cases(
-    data: str, split: str, uavs: int, start: str, altitude_m: float, max_surveys: int | None, seed: int, crop: int
+    data: str,
+    split: str,
+    uavs: int,
+    start: str,
+    altitude_m: float,
+    max_surveys: int | None,
+    seed: int,
+    crop: int,
 ) -> list[Case]:
     from skygain.datasets.cases import survey_cases
     from skygain.datasets.sample import open_sample
@@ -128,14 +155,28 @@ def _cases(
     dataset = open_sample() if data == "sample" else ChannelDataset.open(Path(data))
     shape = (crop, crop) if crop else dataset.grid.shape
     return survey_cases(
-        dataset, split, n_uavs=uavs, start=start, altitude_m=altitude_m, max_surveys=max_surveys, seed=seed, crop_shape=shape
+        dataset,
+        split,
+        n_uavs=uavs,
+        start=start,
+        altitude_m=altitude_m,
+        max_surveys=max_surveys,
+        seed=seed,
+        crop_shape=shape,
     )
 
 
 def _config_cases(config: ComparisonConfig) -> list[Case]:
     return _cases(
-        config.data, config.split, config.uavs, config.start, config.altitude_m, config.max_surveys, config.seed, config.crop
-    )  # fmt: skip
+        config.data,
+        config.split,
+        config.uavs,
+        config.start,
+        config.altitude_m,
+        config.max_surveys,
+        config.seed,
+        config.crop,
+    )
 
 
 def _run(config: ComparisonConfig, index: int, method: MethodSpec) -> dict[str, Any]:
@@ -150,12 +191,20 @@ def _run(config: ComparisonConfig, index: int, method: MethodSpec) -> dict[str, 
         def noisy(truth, rng):  # type: ignore[no-untyped-def,misc]
             return NoisyInstrument(truth, noise, rng)
 
-    outcome = rollout(case, method, steps=config.steps, record_steps=config.record_steps, rules=config.rules, instrument=noisy)
+    outcome = rollout(
+        case,
+        method,
+        steps=config.steps,
+        record_steps=config.record_steps,
+        rules=config.rules,
+        instrument=noisy,
+    )
     return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
 def _read_lines(path: Path) -> list[dict[str, Any]]:
-    """The complete lines of a journal; a last line cut off by a kill is dropped from the file too."""
+    """The complete lines of a journal; a last line cut off by a kill is dropped from the file
+    too."""
     if not path.exists():
         return []
     text = path.read_text()
@@ -165,7 +214,13 @@ def _read_lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in whole.splitlines()]
 
 
-def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, progress: Progress | None = None) -> Comparison:
+def compare(
+    config: ComparisonConfig,
+    out: Path,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
     """Fly every method in every case, resuming from ``out/rollouts.jsonl`` when it is there.
 
     Args:
@@ -175,7 +230,8 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
         progress: told after each rollout.
 
     Raises:
-        InputError: unknown names, unreadable data, or a journal in ``out`` that belongs to another comparison.
+        InputError: unknown names, unreadable data, or a journal in ``out`` that belongs to another
+            comparison.
     """
     for method in config.methods:
         method.build_predictor()
@@ -183,7 +239,8 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     cases = _config_cases(config)
     if not cases:
         raise InputError(
-            f"split {config.split} of {config.data} has no transmitter at {config.altitude_m:g} m; choose another split"
+            f"split {config.split} of {config.data} has no transmitter at {config.altitude_m:g} m; "
+            "choose another split"
         )
     if workers is not None and workers < 1:
         raise InputError(f"workers must be 1 or more, got {workers}")
@@ -191,9 +248,17 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     done: dict[tuple[int, str], dict[str, Any]] = {}
     for line in _read_lines(journal):
         if line["fingerprint"] != config.fingerprint:
-            raise InputError(f"{journal} holds rollouts of another comparison; give another --out or delete that file")
+            raise InputError(
+                f"{journal} holds rollouts of another comparison; give another --out or delete "
+                "that file"
+            )
         done[line["case"], line["method"]] = line
-    missing = [(i, m) for i in range(len(cases)) for m in config.methods if (cases[i].link, m.label) not in done]
+    missing = [
+        (i, m)
+        for i in range(len(cases))
+        for m in config.methods
+        if (cases[i].link, m.label) not in done
+    ]
     total, count = len(cases) * len(config.methods), len(cases) * len(config.methods) - len(missing)
     workers = min(workers or os.cpu_count() or 1, max(1, len(missing)))
     with journal.open("a") as sink:
@@ -225,12 +290,20 @@ def compare(config: ComparisonConfig, out: Path, *, workers: int | None = None, 
     return _collected(config, cases, done)
 
 
-def _collected(config: ComparisonConfig, cases: list[Case], done: dict[tuple[int, str], dict[str, Any]]) -> Comparison:
+def _collected(
+    config: ComparisonConfig, cases: list[Case], done: dict[tuple[int, str], dict[str, Any]]
+) -> Comparison:
     scores: dict[str, dict[str, NDArray[np.float64]]] = {}
     delays: dict[str, dict[str, NDArray[np.float64]]] = {}
     for method in config.methods:
         rows = [done[case.link, method.label] for case in cases]
-        scores[method.label] = {name: np.array([r["scores"][name] for r in rows], dtype=float) for name in rows[0]["scores"]}
-        delays[method.label] = {name: np.array([r["delays"][name] for r in rows], dtype=float) for name in rows[0]["delays"]}
+        scores[method.label] = {
+            name: np.array([r["scores"][name] for r in rows], dtype=float)
+            for name in rows[0]["scores"]
+        }
+        delays[method.label] = {
+            name: np.array([r["delays"][name] for r in rows], dtype=float)
+            for name in rows[0]["delays"]
+        }
     cities = np.array([case.city_index for case in cases], dtype=np.int64)
     return Comparison(config, config.record_steps, cities, scores, delays)

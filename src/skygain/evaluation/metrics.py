@@ -1,7 +1,8 @@
 """How good a posterior is, once the truth is known.
 
-Every score is taken over cells that are outdoors at the prediction altitude; the headline RMSE leaves out visited cells, which
-are exact when the measurements are. See docs/evaluation.md for the equations.
+Every score is taken over cells that are outdoors at the prediction altitude; the headline RMSE
+leaves out visited cells, which are exact when the measurements are. See docs/evaluation.md for the
+equations.
 """
 
 from __future__ import annotations
@@ -17,20 +18,25 @@ from scipy.special import ndtr
 from skygain.posterior import Posterior
 
 VARIANCE_FLOOR_DB2 = 1e-4
-"""a predicted variance below this counts as this, so that one overconfident cell cannot make a score infinite"""
+"""a predicted variance below this counts as this, so that one overconfident cell cannot make a
+score infinite"""
 
 
 def gaussian_crps(error: NDArray[np.float64], std: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Continuous ranked probability score of normal predictions, elementwise, in the unit of ``error``.
+    """Continuous ranked probability score of normal predictions, elementwise, in the unit of
+    ``error``.
 
     CRPS = σ (z (2Φ(z) − 1) + 2φ(z) − 1/√π), z = error/σ (Gneiting and Raftery 2007, eq. 21).
     """
     z = error / std
-    return std * (z * (2 * ndtr(z) - 1) + np.sqrt(2 / np.pi) * np.exp(-0.5 * z * z) - 1 / np.sqrt(np.pi))
+    return std * (
+        z * (2 * ndtr(z) - 1) + np.sqrt(2 / np.pi) * np.exp(-0.5 * z * z) - 1 / np.sqrt(np.pi)
+    )
 
 
 def gof(mean_ratio: float) -> float:
-    """Goodness of fit: natural log of the mean of squared error over predicted variance; 0 is ideal, above 0 is overconfident."""
+    """Goodness of fit: natural log of the mean of squared error over predicted variance; 0 is
+    ideal, above 0 is overconfident."""
     return math.log(mean_ratio) if mean_ratio > 0 else -math.inf
 
 
@@ -41,15 +47,19 @@ def score(
     visited: NDArray[np.bool_],
     ray_traced: NDArray[np.bool_] | None = None,
 ) -> dict[str, float]:
-    """All scores of a posterior against ``truth_db[row, col]``; cells where the truth is NaN do not count.
+    """All scores of a posterior against ``truth_db[row, col]``; cells where the truth is NaN do not
+    count.
 
     Returns a dictionary (a score over no cells at all is NaN):
 
     - ``rmse_db``: root mean squared error over unvisited outdoor cells
     - ``rmse_all_db``: the same over all outdoor cells
-    - ``rmse_ray_traced_db``, ``rmse_rest_db``: over unvisited outdoor cells that a ray reached, and over the others
-    - ``error_ratio``: mean of squared error over predicted variance (its log is the goodness of fit ``gof``)
-    - ``nll``: mean negative log likelihood in nats per cell; ``crps_db``: mean continuous ranked probability score
+    - ``rmse_ray_traced_db``, ``rmse_rest_db``: over unvisited outdoor cells that a ray reached, and
+      over the others
+    - ``error_ratio``: mean of squared error over predicted variance (its log is the goodness of fit
+      ``gof``)
+    - ``nll``: mean negative log likelihood in nats per cell; ``crps_db``: mean continuous ranked
+      probability score
     - ``coverage50``, ``coverage90``: share of cells inside the 50 % and 90 % interval
     - ``mean_std_db``: mean predicted standard deviation over all outdoor cells
     """
@@ -63,7 +73,10 @@ def score(
 
     scores = {"rmse_db": rmse(unseen), "rmse_all_db": rmse(everywhere)}
     if ray_traced is not None:
-        scores |= {"rmse_ray_traced_db": rmse(unseen & ray_traced), "rmse_rest_db": rmse(unseen & ~ray_traced)}
+        scores |= {
+            "rmse_ray_traced_db": rmse(unseen & ray_traced),
+            "rmse_rest_db": rmse(unseen & ~ray_traced),
+        }
     if unseen.any():
         e, variance = error[unseen], np.maximum(posterior.variance_db2[unseen], VARIANCE_FLOOR_DB2)
         std = np.sqrt(variance)
@@ -77,6 +90,8 @@ def score(
             "coverage90": float(np.mean(np.abs(e) <= 1.6448536269514722 * std)),
         }
     else:
-        scores |= dict.fromkeys(("error_ratio", "gof", "nll", "crps_db", "coverage50", "coverage90"), math.nan)
+        scores |= dict.fromkeys(
+            ("error_ratio", "gof", "nll", "crps_db", "coverage50", "coverage90"), math.nan
+        )
     scores["mean_std_db"] = float(posterior.std_db[outdoor].mean())
     return scores

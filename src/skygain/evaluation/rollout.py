@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.evaluation.methods import MethodSpec
 from skygain.evaluation.metrics import score
+from skygain.flight.swarm import FlightRules, Swarm
 from skygain.instruments.base import Instrument
 from skygain.predictors.base import Belief
-from skygain.survey import StepRecord, Survey
-from skygain.swarm import FlightRules, Swarm
+from skygain.survey.loop import StepRecord, Survey
+from skygain.survey.methods import MethodSpec
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
@@ -40,7 +40,8 @@ class Frame:
 
 @dataclass
 class Recorder:
-    """An observer that scores the belief at chosen steps and, when asked, keeps the maps as well."""
+    """An observer that scores the belief at chosen steps and, when asked, keeps the maps as
+    well."""
 
     steps: frozenset[int]
     """steps to record; the last step flown is recorded by calling `take` once more"""
@@ -78,7 +79,8 @@ class Recorder:
 
 
 def delays_ms(journal: Sequence[StepRecord]) -> dict[str, float]:
-    """Planning delay per decision and per planned step, and update delay per step, in milliseconds (median and 95th percentile)."""
+    """Planning delay per decision and per planned step, and update delay per step, in milliseconds
+    (median and 95th percentile)."""
     decisions = [(r.planning_s, r.planned_steps) for r in journal if r.planned_steps]
     per_decision = np.array([s for s, _ in decisions]) * 1e3
     per_step = np.array([s / n for s, n in decisions]) * 1e3
@@ -102,10 +104,12 @@ def rollout(
 ) -> dict[str, Any]:
     """Fly ``method`` in ``case`` and return plain numbers, ready for JSON.
 
-    Every method flown in the same case gets the same city, transmitter, crop, start cells and random stream.
+    Every method flown in the same case gets the same city, transmitter, crop, start cells and
+    random stream.
 
     Returns:
-        ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured": readings taken}``
+        ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured":
+        readings taken}``
     """
     from skygain.instruments.simulated import PerfectInstrument
 
@@ -116,12 +120,18 @@ def rollout(
     measure = PerfectInstrument(truth) if instrument is None else instrument(truth, noise_rng)
     recorder = Recorder(frozenset(record_steps), truth, case.ray_traced)
     swarm = Swarm.deployed(scenario, case.start_cells, steps, rules)
-    result = Survey(scenario, predictor, method.build_planner(), measure).fly(swarm, planner_rng, recorder)
+    result = Survey(scenario, predictor, method.build_planner(), measure).fly(
+        swarm, planner_rng, recorder
+    )
     names = list(recorder.frames[0].scores) if recorder.frames else []
     return {
         "steps": [f.step for f in recorder.frames],
         "scores": {name: [f.scores[name] for f in recorder.frames] for name in names},
         "delays": delays_ms(result.journal),
         "measured": len(result.measurements),
-        "certificates": [[c.certificate.value_nats, c.certificate.upper_bound_nats] for c in result.journal if c.certificate],
+        "certificates": [
+            [c.certificate.value_nats, c.certificate.upper_bound_nats]
+            for c in result.journal
+            if c.certificate
+        ],
     }

@@ -1,6 +1,7 @@
 """Intervals for means over surveys, by resampling cities.
 
-Surveys in one city share buildings, so cities, not surveys, are what is drawn with replacement (a cluster bootstrap). Comparisons
+Surveys in one city share buildings, so cities, not surveys, are what is drawn with replacement (a
+cluster bootstrap). Comparisons
 are paired: the difference is taken survey by survey before anything is averaged.
 """
 
@@ -30,15 +31,21 @@ class Interval:
 
 
 def city_weights(cities: ArrayLike, resamples: int = 4000, seed: int = 0) -> NDArray[np.float64]:
-    """``[resample, survey]`` how often each survey counts when its city is drawn with replacement; rows sum to 1."""
+    """``[resample, survey]`` how often each survey counts when its city is drawn with replacement;
+    rows sum to 1."""
     names, index = np.unique(np.asarray(cities), return_inverse=True)
-    draws = np.random.default_rng(seed).multinomial(len(names), np.full(len(names), 1 / len(names)), size=resamples)
+    draws = np.random.default_rng(seed).multinomial(
+        len(names), np.full(len(names), 1 / len(names)), size=resamples
+    )
     weights = draws[:, index].astype(float)
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def bootstrap_mean(values: ArrayLike, cities: ArrayLike, *, resamples: int = 4000, seed: int = 0) -> Interval:
-    """Mean of ``values[survey]`` with its 95 % interval, drawing ``cities[survey]`` with replacement; NaN values are left out.
+def bootstrap_mean(
+    values: ArrayLike, cities: ArrayLike, *, resamples: int = 4000, seed: int = 0
+) -> Interval:
+    """Mean of ``values[survey]`` with its 95 % interval, drawing ``cities[survey]`` with
+    replacement; NaN values are left out.
 
     >>> bootstrap_mean([1.0, 1.0, 1.0], [0, 1, 1])
     Interval(mean=1.0, low=1.0, high=1.0)
@@ -61,8 +68,8 @@ def flight_saved(steps: ArrayLike, ours: ArrayLike, rival: ArrayLike) -> float:
         rival: ``[k]`` the rival's.
 
     Returns:
-        ``steps[-1] / s`` with s the first (linearly interpolated) step at which ours is as low as the rival's last value; NaN when
-        we never get there.
+        ``steps[-1] / s`` with s the first (linearly interpolated) step at which ours is as low as
+        the rival's last value; NaN when we never get there.
 
     >>> flight_saved([0, 100, 200], [20.0, 10.0, 5.0], [20.0, 15.0, 10.0])
     2.0

@@ -16,7 +16,8 @@ from skygain.evaluation.statistics import Interval, bootstrap_mean, flight_saved
 
 
 def _milestones(steps: list[int]) -> list[int]:
-    """Indices of the columns to print: the steps nearest to a quarter, half and all of the survey."""
+    """Indices of the columns to print: the steps nearest to a quarter, half and all of the
+    survey."""
     wanted = [steps[-1] / 4, steps[-1] / 2, steps[-1]]
     return sorted({int(np.argmin([abs(s - w) for s in steps])) for w in wanted})
 
@@ -27,8 +28,16 @@ def curve_intervals(
     """``{label: (steps, mean, low, high)}`` of a score over the recorded steps, for the figure."""
     curves = {}
     for label, named in comparison.scores.items():
-        at = [bootstrap_mean(named[score][:, k], comparison.cities) for k in range(len(comparison.steps))]
-        curves[label] = (comparison.steps, [i.mean for i in at], [i.low for i in at], [i.high for i in at])
+        at = [
+            bootstrap_mean(named[score][:, k], comparison.cities)
+            for k in range(len(comparison.steps))
+        ]
+        curves[label] = (
+            comparison.steps,
+            [i.mean for i in at],
+            [i.low for i in at],
+            [i.high for i in at],
+        )
     return curves
 
 
@@ -43,7 +52,9 @@ def _final_text(comparison: Comparison, label: str, score: str) -> str:
     return f"{_final(comparison, label, score).mean:.2f}" if known else "–"
 
 
-def _paired(comparison: Comparison, label: str, reference: str, k: int, score: str = "rmse_db") -> Interval:
+def _paired(
+    comparison: Comparison, label: str, reference: str, k: int, score: str = "rmse_db"
+) -> Interval:
     """Difference of a score, ``label`` minus ``reference``, survey by survey."""
     difference = comparison.scores[label][score][:, k] - comparison.scores[reference][score][:, k]
     return bootstrap_mean(difference, comparison.cities)
@@ -60,8 +71,12 @@ def _flight_rows(comparison: Comparison) -> list[tuple[str, str, str, float]]:
         for ours in planners:
             for rival in planners:
                 if ours != rival:
-                    mine, theirs = (_mean_curve(comparison, f"{predictor} / {p}") for p in (ours, rival))
-                    rows.append((predictor, ours, rival, flight_saved(comparison.steps, mine, theirs)))
+                    mine, theirs = (
+                        _mean_curve(comparison, f"{predictor} / {p}") for p in (ours, rival)
+                    )
+                    rows.append(
+                        (predictor, ours, rival, flight_saved(comparison.steps, mine, theirs))
+                    )
     return rows
 
 
@@ -80,37 +95,54 @@ def _gof(comparison: Comparison, label: str) -> float:
 
 
 def comparison_markdown(comparison: Comparison) -> str:
-    """The tables: error along the way, error and calibration at the end, paired differences, flight saved, delays."""
+    """The tables: error along the way, error and calibration at the end, paired differences, flight
+    saved, delays."""
     config, labels, steps = comparison.config, list(comparison.scores), comparison.steps
     shown = _milestones(steps)
     n, n_cities = len(comparison.cities), len(np.unique(comparison.cities))
     window = f"windows of {config.crop} × {config.crop} cells" if config.crop else "whole maps"
     lines = [
-        f"{n} surveys in {n_cities} cities of {config.split}, {window}, {config.uavs} UAVs, start {config.start}, {config.steps} steps, "
+        f"{n} surveys in {n_cities} cities of {config.split}, {window}, {config.uavs} UAVs, start "
+        f"{config.start}, {config.steps} steps, "
         f"altitude {config.altitude_m:g} m, noise {config.noise_db:g} dB, seed {config.seed}. "
         "RMSE in dB over unvisited outdoor cells; brackets: 95 % bootstrap interval over cities.",
         "",
-        "| predictor / planner | " + " | ".join(f"RMSE T={steps[k]}" for k in shown) + " | all cells | ray-traced | rest |",
+        "| predictor / planner | "
+        + " | ".join(f"RMSE T={steps[k]}" for k in shown)
+        + " | all cells | ray-traced | rest |",
         "|---|" + "---|" * (len(shown) + 3),
     ]
     for label in labels:
-        cells = [str(bootstrap_mean(comparison.scores[label]["rmse_db"][:, k], comparison.cities)) for k in shown]
-        extra = [_final_text(comparison, label, name) for name in ("rmse_all_db", "rmse_ray_traced_db", "rmse_rest_db")]
+        cells = [
+            str(bootstrap_mean(comparison.scores[label]["rmse_db"][:, k], comparison.cities))
+            for k in shown
+        ]
+        extra = [
+            _final_text(comparison, label, name)
+            for name in ("rmse_all_db", "rmse_ray_traced_db", "rmse_rest_db")
+        ]
         lines.append(f"| {label} | " + " | ".join(cells + extra) + " |")
     lines += [
         "",
-        f"Calibration at T={steps[-1]}, and delay (median / 95th percentile, ms, mean over surveys).",
+        f"Calibration at T={steps[-1]}, and delay (median / 95th percentile, ms, mean over "
+        "surveys).",
         "",
-        "| predictor / planner | GoF | NLL | CRPS dB | cover 50 % | cover 90 % | per decision | per planned step | belief update |",
+        "| predictor / planner | GoF | NLL | CRPS dB | cover 50 % | cover 90 % | per decision | "
+        "per planned step | belief update |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for label in labels:
-        values = [_final(comparison, label, name).mean for name in ("nll", "crps_db", "coverage50", "coverage90")]
+        values = [
+            _final(comparison, label, name).mean
+            for name in ("nll", "crps_db", "coverage50", "coverage90")
+        ]
         delay = comparison.delays[label]
         lines.append(
-            f"| {label} | {_gof(comparison, label):+.2f} | {values[0]:.2f} | {values[1]:.2f} | {values[2]:.1%} | {values[3]:.1%} | "
+            f"| {label} | {_gof(comparison, label):+.2f} | {values[0]:.2f} | {values[1]:.2f} | "
+            f"{values[2]:.1%} | {values[3]:.1%} | "
             + " | ".join(
-                f"{np.nanmean(delay[f'{part}_ms_median']):.2f} / {np.nanmean(delay[f'{part}_ms_p95']):.2f}"
+                f"{np.nanmean(delay[f'{part}_ms_median']):.2f} / "
+                f"{np.nanmean(delay[f'{part}_ms_p95']):.2f}"
                 for part in ("decision", "planned_step", "update")
             )
             + " |"
@@ -126,32 +158,62 @@ def comparison_markdown(comparison: Comparison) -> str:
         for label in labels[1:]:
             cells = [_signed(_paired(comparison, label, labels[0], k)) for k in shown]
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    several = {predictor: planners for predictor, planners in _planners_of(comparison).items() if len(planners) > 1}
+    several = {
+        predictor: planners
+        for predictor, planners in _planners_of(comparison).items()
+        if len(planners) > 1
+    }
     for predictor, planners in several.items():
-        lines += _paired_planners(comparison, predictor, planners, sorted({shown[-2], shown[-1]}) if len(shown) > 1 else shown)
+        lines += _paired_planners(
+            comparison,
+            predictor,
+            planners,
+            sorted({shown[-2], shown[-1]}) if len(shown) > 1 else shown,
+        )
     if several:
         lines += [
             "",
-            f"Flight saved: {steps[-1]} steps divided by the steps a planner needs for the error its rival (column) has at T={steps[-1]}.",
+            f"Flight saved: {steps[-1]} steps divided by the steps a planner needs for the error "
+            f"its rival (column) has at T={steps[-1]}.",
         ]
         for predictor, planners in several.items():
             saved = {(a, b): ratio for p, a, b, ratio in _flight_rows(comparison) if p == predictor}
-            lines += ["", f"| {predictor} | " + " | ".join(planners) + " |", "|---|" + "---|" * len(planners)]
+            lines += [
+                "",
+                f"| {predictor} | " + " | ".join(planners) + " |",
+                "|---|" + "---|" * len(planners),
+            ]
             for ours in planners:
                 row = ["–" if ours == b else _times(saved[ours, b]) for b in planners]
                 lines.append(f"| {ours} | " + " | ".join(row) + " |")
     return "\n".join(lines) + "\n"
 
 
-def _paired_planners(comparison: Comparison, predictor: str, planners: list[str], steps: list[int]) -> list[str]:
-    """Tables of the paired differences between planners of one predictor, at the recorded ``steps``."""
+def _paired_planners(
+    comparison: Comparison, predictor: str, planners: list[str], steps: list[int]
+) -> list[str]:
+    """Tables of the paired differences between planners of one predictor, at the recorded
+    ``steps``."""
     lines: list[str] = []
     for k in steps:
-        lines += ["", f"Paired difference of RMSE at T={comparison.steps[k]} between planners (row minus column), dB.", ""]
-        lines += [f"| {predictor} | " + " | ".join(planners[:-1]) + " |", "|---|" + "---|" * (len(planners) - 1)]
+        lines += [
+            "",
+            f"Paired difference of RMSE at T={comparison.steps[k]} between planners (row minus "
+            "column), dB.",
+            "",
+        ]
+        lines += [
+            f"| {predictor} | " + " | ".join(planners[:-1]) + " |",
+            "|---|" + "---|" * (len(planners) - 1),
+        ]
         for i, planner in enumerate(planners[1:], 1):
-            cells = [_signed(_paired(comparison, f"{predictor} / {planner}", f"{predictor} / {p}", k)) for p in planners[:i]]
-            lines.append(f"| {planner} | " + " | ".join(cells + [""] * (len(planners) - 1 - i)) + " |")
+            cells = [
+                _signed(_paired(comparison, f"{predictor} / {planner}", f"{predictor} / {p}", k))
+                for p in planners[:i]
+            ]
+            lines.append(
+                f"| {planner} | " + " | ".join(cells + [""] * (len(planners) - 1 - i)) + " |"
+            )
     return lines
 
 
@@ -169,22 +231,35 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     methods = {}
     for label in labels:
         curve = {
-            name: [asdict(bootstrap_mean(values[:, k], comparison.cities)) for k in range(len(steps))]
+            name: [
+                asdict(bootstrap_mean(values[:, k], comparison.cities)) for k in range(len(steps))
+            ]
             for name, values in comparison.scores[label].items()
         }
-        delay = {name: float(np.nanmean(values)) for name, values in comparison.delays[label].items()}
+        delay = {
+            name: float(np.nanmean(values)) for name, values in comparison.delays[label].items()
+        }
         methods[label] = {"scores": curve, "gof": _gof(comparison, label), "delays": delay}
     kinds = [
-        name for name in ("rmse_db", "rmse_ray_traced_db", "rmse_rest_db") if all(name in comparison.scores[a] for a in labels)
+        name
+        for name in ("rmse_db", "rmse_ray_traced_db", "rmse_rest_db")
+        if all(name in comparison.scores[a] for a in labels)
     ]
     paired = [
-        {"method": a, "minus": b} | {n: [asdict(_paired(comparison, a, b, k, n)) for k in range(len(steps))] for n in kinds}
+        {"method": a, "minus": b}
+        | {n: [asdict(_paired(comparison, a, b, k, n)) for k in range(len(steps))] for n in kinds}
         for i, a in enumerate(labels)
         for b in labels[:i]
     ]
-    saved = [{"predictor": p, "planner": a, "rival": b, "flight_saved": ratio} for p, a, b, ratio in _flight_rows(comparison)]
+    saved = [
+        {"predictor": p, "planner": a, "rival": b, "flight_saved": ratio}
+        for p, a, b, ratio in _flight_rows(comparison)
+    ]
     return {
-        "config": {**asdict(comparison.config), "data": Path(comparison.config.data).name},  # no folder of this machine
+        "config": {
+            **asdict(comparison.config),
+            "data": Path(comparison.config.data).name,
+        },  # no folder of this machine
         "surveys": len(comparison.cities),
         "cities": len(np.unique(comparison.cities)),
         "steps": steps,

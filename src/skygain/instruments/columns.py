@@ -1,22 +1,35 @@
 """Which column of a recorded campaign is which.
 
-Campaigns are logged by many tools, and each names its columns its own way. A column can always be named; what is not named is
-guessed from a fixed list of usual names, and a guess is refused rather than made when two columns would do.
+Campaigns are logged by many tools, and each names its columns its own way. A column can always be
+named; what is not named is guessed from a fixed list of usual names, and a guess is refused rather
+than made when two columns would do.
 """
 
 from __future__ import annotations
 
-__all__ = ["GUESSES", "LEVEL_NAMES", "ROLES", "find_columns", "level_quantity", "named_column", "normalised"]
+__all__ = [
+    "GUESSES",
+    "LEVEL_NAMES",
+    "ROLES",
+    "find_columns",
+    "level_quantity",
+    "named_column",
+    "normalised",
+]
 
 import difflib
 import re
 from collections.abc import Mapping, Sequence
 
-from skygain.errors import InputError
+from skygain.ground.errors import InputError
 
 LEVEL_NAMES: dict[str, str] = {
-    **dict.fromkeys(("rsrp", "ss_rsrp", "nr_rsrp", "lte_rsrp", "nr_ss_rsrp", "rssi", "rscp", "rxlev"), "power"),
-    **dict.fromkeys(("level", "rx_level", "signal", "signal_level", "signal_strength", "strength"), "power"),
+    **dict.fromkeys(
+        ("rsrp", "ss_rsrp", "nr_rsrp", "lte_rsrp", "nr_ss_rsrp", "rssi", "rscp", "rxlev"), "power"
+    ),
+    **dict.fromkeys(
+        ("level", "rx_level", "signal", "signal_level", "signal_strength", "strength"), "power"
+    ),
     **dict.fromkeys(("power", "rx_power", "received_power", "rss", "dbm"), "power"),
     **dict.fromkeys(("gain", "channel_gain", "path_gain", "pathgain"), "gain"),
     **dict.fromkeys(("path_loss", "pathloss", "loss", "attenuation"), "loss"),
@@ -25,7 +38,16 @@ LEVEL_NAMES: dict[str, str] = {
 
 GUESSES: dict[str, tuple[str, ...]] = {
     "latitude": ("lat", "latitude", "gps_lat", "gps_latitude"),
-    "longitude": ("lon", "lng", "long", "longitude", "gps_lon", "gps_lng", "gps_long", "gps_longitude"),
+    "longitude": (
+        "lon",
+        "lng",
+        "long",
+        "longitude",
+        "gps_lon",
+        "gps_lng",
+        "gps_long",
+        "gps_longitude",
+    ),
     "x": ("x", "easting", "east", "utm_x", "utm_e", "x_utm"),
     "y": ("y", "northing", "north", "utm_y", "utm_n", "y_utm"),
     "level": tuple(LEVEL_NAMES),
@@ -52,7 +74,8 @@ def _fits(role: str, name: str) -> bool:
 
 
 def level_quantity(name: str) -> str:
-    """``"power"``, ``"gain"`` or ``"loss"``: what a level column of this name holds; power when the name does not tell.
+    """``"power"``, ``"gain"`` or ``"loss"``: what a level column of this name holds; power when the
+    name does not tell.
 
     >>> level_quantity("Path Loss (dB)"), level_quantity("RSRP"), level_quantity("my column")
     ('loss', 'power', 'power')
@@ -81,7 +104,8 @@ def named_column(header: Sequence[str], name: str, what: str) -> int:
         found = [i for i, column in enumerate(header) if same(column.strip(), name.strip())]
         if len(found) > 1:
             raise InputError(
-                f"{len(found)} columns are called {name!r}, so the {what} is ambiguous; rename all but one in the file"
+                f"{len(found)} columns are called {name!r}, so the {what} is ambiguous; rename all "
+                "but one in the file"
             )
         if found:
             return found[0]
@@ -98,27 +122,33 @@ def _required(header: Sequence[str], role: str) -> int:
     found = _guessed(header, role)
     if len(found) > 1:
         options = ", ".join(repr(header[i]) for i in found)
-        raise InputError(f"columns {options} could each be the {role}; name the one to use (columns: {_listed(header)})")
+        raise InputError(
+            f"columns {options} could each be the {role}; name the one to use (columns: "
+            f"{_listed(header)})"
+        )
     if not found:
         raise InputError(
-            f"found no column for the {role}; name it (columns: {_listed(header)}; guessed names: {', '.join(GUESSES[role])})"
+            f"found no column for the {role}; name it (columns: {_listed(header)}; guessed names: "
+            f"{', '.join(GUESSES[role])})"
         )
     return found[0]
 
 
 def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, int]:
-    """Index of the column for each role: the position (two of the first four `ROLES`), the level, and what else there is.
+    """Index of the column for each role: the position (two of the first four `ROLES`), the level,
+    and what else there is.
 
     Args:
         header: column names.
         named: ``{role: column name}`` for the roles that are not to be guessed.
 
-    Where both a latitude, longitude pair and an x, y pair can be guessed, latitude and longitude are taken. The optional roles
-    (noise, time, censored) are left out when no column, or more than one, would do.
+    Where both a latitude, longitude pair and an x, y pair can be guessed, latitude and longitude
+    are taken. The optional roles (noise, time, censored) are left out when no column, or more than
+    one, would do.
 
     Raises:
-        InputError: a named role or column does not exist, a role that is needed has no column or several, or one column has two
-            roles.
+        InputError: a named role or column does not exist, a role that is needed has no column or
+            several, or one column has two roles.
     """
     unknown = [role for role in named if role not in ROLES]
     if unknown:
@@ -126,17 +156,23 @@ def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, i
     found = {role: named_column(header, name, role) for role, name in named.items()}
     geographic, metric = ("latitude", "longitude"), ("x", "y")
     if any(role in found for role in geographic) and any(role in found for role in metric):
-        raise InputError("columns are named both for latitude or longitude and for x or y; name one pair")
+        raise InputError(
+            "columns are named both for latitude or longitude and for x or y; name one pair"
+        )
     if any(role in found for role in metric):
         pair = metric
-    elif any(role in found for role in geographic) or all(_guessed(header, role) for role in geographic):
+    elif any(role in found for role in geographic) or all(
+        _guessed(header, role) for role in geographic
+    ):
         pair = geographic
     elif all(_guessed(header, role) for role in metric):
         pair = metric
     else:
         raise InputError(
-            f"found no pair of columns for the position; name latitude and longitude, or x and y (columns: {_listed(header)}; "
-            f"guessed names: {', '.join(GUESSES['latitude'])} with {', '.join(GUESSES['longitude'])}, "
+            "found no pair of columns for the position; name latitude and longitude, or x and y "
+            f"(columns: {_listed(header)}; "
+            f"guessed names: {', '.join(GUESSES['latitude'])} with "
+            f"{', '.join(GUESSES['longitude'])}, "
             f"or {', '.join(GUESSES['x'])} with {', '.join(GUESSES['y'])})"
         )
     for role in (*pair, "level"):
@@ -150,7 +186,8 @@ def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, i
     for role, index in found.items():
         if index in taken:
             raise InputError(
-                f"column {header[index]!r} cannot be both the {taken[index]} and the {role}; name another for one of them"
+                f"column {header[index]!r} cannot be both the {taken[index]} and the {role}; name "
+                "another for one of them"
             )
         taken[index] = role
     return found

@@ -1,8 +1,9 @@
 """A recording brought onto a grid: one value per cell, with how sure it is.
 
-Readings of one cell are averaged in dB. The beliefs of this package are normal in dB, and shadowing is what is mapped: the dB
-mean estimates its centre. A mean of powers would lie higher by (ln 10 / 20) σ² dB for a spread of σ dB (1.8 dB at σ = 4 dB), by
-more in cells that fade more, and a single strong reading would decide it.
+Readings of one cell are averaged in dB. The beliefs of this package are normal in dB, and shadowing
+is what is mapped: the dB mean estimates its centre. A mean of powers would lie higher by (ln 10 /
+20) σ² dB for a spread of σ dB (1.8 dB at σ = 4 dB), by more in cells that fade more, and a single
+strong reading would decide it.
 """
 
 from __future__ import annotations
@@ -15,27 +16,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.framing import Bounds, box_in_metres, grid_over, metric_crs, parse_crs, transformed_bounds
-from skygain.errors import InputError, require
+from skygain.frames import (
+    Bounds,
+    box_in_metres,
+    grid_over,
+    metric_crs,
+    parse_crs,
+    transformed_bounds,
+)
 from skygain.grid import Grid
+from skygain.ground.errors import InputError, require
 from skygain.measurements import Measurements
 
 if TYPE_CHECKING:
     from skygain.instruments.recording import Recording
 
 FLOOR_STD_DB = 1.0
-"""a cell's value is never taken to be surer than this, however many readings agree: phones report whole dB, and readings taken
-together share their error"""
+"""a cell's value is never taken to be surer than this, however many readings agree: phones report
+whole dB, and readings taken together share their error"""
 
 _POOLED_READINGS = 4.0
-"""a cell's own spread is mixed with the spread of all cells as if the latter came from this many readings of its own"""
+"""a cell's own spread is mixed with the spread of all cells as if the latter came from this many
+readings of its own"""
 
 _WGS84 = "EPSG:4326"
 
 
 @dataclass(frozen=True, eq=False)
 class GriddedRecording:
-    """A recording on a grid: the cells that have readings, in map order, and what they read. Arrays are read-only."""
+    """A recording on a grid: the cells that have readings, in map order, and what they read. Arrays
+    are read-only."""
 
     grid: Grid
     """the map"""
@@ -46,11 +56,13 @@ class GriddedRecording:
     noise_std_db: NDArray[np.float64]
     """``[k]`` standard deviation of that mean"""
     spread_db: NDArray[np.float64]
-    """``[k]`` sample standard deviation of the cell's distinct readings; NaN where there is one only"""
+    """``[k]`` sample standard deviation of the cell's distinct readings; NaN where there is one
+    only"""
     count: NDArray[np.int64]
     """``[k]`` readings in the cell, copies included"""
     distinct: NDArray[np.int64]
-    """``[k]`` readings that differ in position or level; a logger that polls faster than the phone measures writes copies"""
+    """``[k]`` readings that differ in position or level; a logger that polls faster than the phone
+    measures writes copies"""
     censored: NDArray[np.bool_]
     """``[k]`` every reading of the cell was at the receiver's floor"""
     outside: int
@@ -61,7 +73,15 @@ class GriddedRecording:
     """where the recording came from"""
 
     def __post_init__(self) -> None:
-        for name in ("cell", "level_db", "noise_std_db", "spread_db", "count", "distinct", "censored"):
+        for name in (
+            "cell",
+            "level_db",
+            "noise_std_db",
+            "spread_db",
+            "count",
+            "distinct",
+            "censored",
+        ):
             getattr(self, name).flags.writeable = False
 
     def __len__(self) -> int:
@@ -76,22 +96,32 @@ class GriddedRecording:
 
     def measurements(self) -> Measurements:
         """The cells' values as measurements, in map order."""
-        return Measurements.at(self.cell, self.level_db, noise_std_db=self.noise_std_db, censored=self.censored)
+        return Measurements.at(
+            self.cell, self.level_db, noise_std_db=self.noise_std_db, censored=self.censored
+        )
 
 
-def gridded(recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD_DB) -> GriddedRecording:
+def gridded(
+    recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD_DB
+) -> GriddedRecording:
     """One value per cell of ``grid``.
 
-    With m distinct readings y in a cell, the value is their mean ȳ and its standard deviation is √(s²/m + f²), where f is
-    ``floor_std_db`` and s² = (4 p² + Σ(y − ȳ)²) / (4 + m − 1) mixes the cell's own spread with p², the spread pooled over all
-    cells: a single reading is as uncertain as readings of one cell usually are. Where the file states each reading's standard
-    deviation σ, it is believed instead: √(Σσ²)/m. Readings that agree in position and level count once.
+    With m distinct readings y in a cell, the value is their mean ȳ and its standard deviation is
+    √(s²/m + f²), where f is ``floor_std_db`` and s² = (4 p² + Σ(y − ȳ)²) / (4 + m − 1) mixes the
+    cell's own spread with p², the spread pooled over all
+    cells: a single reading is as uncertain as readings of one cell usually are. Where the file
+    states each reading's standard
+    deviation σ, it is believed instead: √(Σσ²)/m. Readings that agree in position and level count
+    once.
 
     Raises:
-        InputError: no reading lies on the map, the map has no CRS to place latitudes with, or x and y are in another frame.
+        InputError: no reading lies on the map, the map has no CRS to place latitudes with, or x and
+            y are in another frame.
     """
     if not 0 <= floor_std_db < np.inf:
-        raise InputError(f"floor_std_db must be 0 dB or more, got {floor_std_db}; {FLOOR_STD_DB:g} is usual")
+        raise InputError(
+            f"floor_std_db must be 0 dB or more, got {floor_std_db}; {FLOOR_STD_DB:g} is usual"
+        )
     xy_m = _metres(recording, grid.crs)
     cells, on_map = _cells_of(xy_m, grid)
     if not on_map.any():
@@ -107,7 +137,9 @@ def gridded(recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD
     squares = np.bincount(group, (level - mean[group]) ** 2)
     if recording.noise_std_db is None:
         freedom = max(1, len(level) - len(mean))
-        own = (_POOLED_READINGS * squares.sum() / freedom + squares) / (_POOLED_READINGS + distinct - 1)
+        own = (_POOLED_READINGS * squares.sum() / freedom + squares) / (
+            _POOLED_READINGS + distinct - 1
+        )
         std = np.sqrt(own / distinct + floor_std_db**2)
     else:
         std = np.sqrt(np.bincount(group, noise**2)) / distinct
@@ -128,23 +160,30 @@ def gridded(recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD
 
 
 def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = None) -> Grid:
-    """A grid that holds the recording: in the UTM zone of its centre if the recording is georeferenced, else in its own frame.
+    """A grid that holds the recording: in the UTM zone of its centre if the recording is
+    georeferenced, else in its own frame.
 
     Args:
         recording: what is to be mapped.
         spacing_m: side of a cell.
-        box: (west, south, east, north) of the map, in degrees or in the metres of the grid; all readings and a cell around them
-            when left out.
+        box: (west, south, east, north) of the map, in degrees or in the metres of the grid; all
+            readings and a cell around them when left out.
 
     Raises:
         InputError: the box or the spacing makes no sense, or the map would be too large.
     """
     if not 0 < spacing_m < np.inf:
-        raise InputError(f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual")
+        raise InputError(
+            f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
+        )
     source = parse_crs(_WGS84 if recording.latlon is not None else recording.crs)
     points = recording.xy_m if recording.latlon is None else recording.latlon[:, ::-1]
     assert points is not None
-    if box is not None and recording.latlon is not None and np.abs(np.asarray(box, dtype=float)).max() <= 360:
+    if (
+        box is not None
+        and recording.latlon is not None
+        and np.abs(np.asarray(box, dtype=float)).max() <= 360
+    ):
         bounds: Bounds = tuple(float(v) for v in box)  # type: ignore[assignment]
     else:
         bounds = _bounds(points)
@@ -152,10 +191,15 @@ def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = 
     if box is not None:
         return grid_over(box_in_metres(box, target), spacing_m, target)
     west, south, east, north = transformed_bounds(bounds, source, target)
-    # The corners go to whole multiples of the spacing, so that maps of one area made from different recordings share their cells.
+    # The corners go to whole multiples of the spacing, so that maps of one area made from different
+    # recordings share their cells.
     west, south = (np.floor(v / spacing_m) * spacing_m for v in (west, south))
     east, north = (np.ceil(v / spacing_m) * spacing_m for v in (east, north))
-    return grid_over((west - spacing_m, south - spacing_m, east + spacing_m, north + spacing_m), spacing_m, target)
+    return grid_over(
+        (west - spacing_m, south - spacing_m, east + spacing_m, north + spacing_m),
+        spacing_m,
+        target,
+    )
 
 
 def _bounds(points: NDArray[np.float64]) -> Bounds:
@@ -165,11 +209,13 @@ def _bounds(points: NDArray[np.float64]) -> Bounds:
 
 
 def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
-    """``[n, (x, y)]`` of the readings in the frame of a grid with ``crs``; not finite where the projection has no such place."""
+    """``[n, (x, y)]`` of the readings in the frame of a grid with ``crs``; not finite where the
+    projection has no such place."""
     if recording.latlon is not None:
         if crs is None:
             raise InputError(
-                f"{recording.source} has latitudes, but the map has no coordinate reference system; "
+                f"{recording.source} has latitudes, but the map has no coordinate reference "
+                "system; "
                 "use a georeferenced city, or grid_for"
             )
         return Grid((1, 1), 1.0, crs=crs).xy_m_at_latlon(recording.latlon)
@@ -177,12 +223,19 @@ def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
     if recording.crs == crs:
         return recording.xy_m
     if recording.crs is None or crs is None:
-        with_crs, without = ("the map", recording.source) if recording.crs is None else (recording.source, "the map")
+        with_crs, without = (
+            ("the map", recording.source)
+            if recording.crs is None
+            else (recording.source, "the map")
+        )
         raise InputError(
-            f"{with_crs} has a coordinate reference system and {without} has none; give both the same crs, or neither"
+            f"{with_crs} has a coordinate reference system and {without} has none; give both the "
+            "same crs, or neither"
         )
     pyproj = require("pyproj", "geo")
-    x, y = pyproj.Transformer.from_crs(parse_crs(recording.crs), parse_crs(crs), always_xy=True).transform(*recording.xy_m.T)
+    x, y = pyproj.Transformer.from_crs(
+        parse_crs(recording.crs), parse_crs(crs), always_xy=True
+    ).transform(*recording.xy_m.T)
     return np.column_stack([x, y])
 
 
@@ -190,7 +243,12 @@ def _cells_of(xy_m: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.int64],
     """Cells of the points and whether each is on the map; a point off the map gets cell (0, 0)."""
     west, south, east, north = grid.bounds_m
     with np.errstate(invalid="ignore"):
-        near = (xy_m[:, 0] >= west) & (xy_m[:, 0] <= east) & (xy_m[:, 1] >= south) & (xy_m[:, 1] <= north)
+        near = (
+            (xy_m[:, 0] >= west)
+            & (xy_m[:, 0] <= east)
+            & (xy_m[:, 1] >= south)
+            & (xy_m[:, 1] <= north)
+        )
     cells = grid.cells_at(np.where(near[:, None], xy_m, np.asarray(grid.origin_m)))
     on_map = near & grid.contains(cells)
     return np.where(on_map[:, None], cells, 0), on_map
@@ -203,8 +261,10 @@ def _all_outside(recording: Recording, grid: Grid) -> str:
         assert recording.xy_m is not None
         lo, hi = recording.xy_m.min(axis=0), recording.xy_m.max(axis=0)
         return (
-            f"{message}: they span x {lo[0]:.6g} to {hi[0]:.6g} and y {lo[1]:.6g} to {hi[1]:.6g} m, the map "
-            f"{tuple(round(v, 1) for v in grid.bounds_m)}; check the coordinate reference system and the box"
+            f"{message}: they span x {lo[0]:.6g} to {hi[0]:.6g} and y {lo[1]:.6g} to {hi[1]:.6g} "
+            "m, the map "
+            f"{tuple(round(v, 1) for v in grid.bounds_m)}; check the coordinate reference system "
+            "and the box"
         )
     lo, hi = recording.latlon.min(axis=0), recording.latlon.max(axis=0)
     swapped = recording.latlon[:, ::-1]
@@ -212,4 +272,7 @@ def _all_outside(recording: Recording, grid: Grid) -> str:
     hint = "check the box, or map the recording's own area (grid_for)"
     if len(swapped) and _cells_of(grid.xy_m_at_latlon(swapped), grid)[1].any():
         hint = "swapped, they lie on it: exchange the latitude and longitude columns"
-    return f"{message}: they span latitudes {lo[0]:.5f} to {hi[0]:.5f} and longitudes {lo[1]:.5f} to {hi[1]:.5f}; {hint}"
+    return (
+        f"{message}: they span latitudes {lo[0]:.5f} to {hi[0]:.5f} and longitudes {lo[1]:.5f} to "
+        f"{hi[1]:.5f}; {hint}"
+    )

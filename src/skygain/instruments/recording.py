@@ -1,8 +1,9 @@
 """A recorded campaign: real readings of one transmitter, read from a CSV file.
 
-The reader is strict about what could silently spoil a map (a level that is not a number, a swapped latitude, a loss taken for a
-gain, two columns that would both do) and easy about the rest (delimiter, byte-order mark, decimal commas, column names, extra
-columns). What it had to guess stands in the result. See docs/instruments.md.
+The reader is strict about what could silently spoil a map (a level that is not a number, a swapped
+latitude, a loss taken for a gain, two columns that would both do) and easy about the rest
+(delimiter, byte-order mark, decimal commas, column names, extra columns). What it had to guess
+stands in the result. See docs/instruments.md.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.cities.framing import parse_crs
-from skygain.errors import InputError
+from skygain.frames import parse_crs
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 from skygain.instruments.columns import find_columns, level_quantity, named_column
 from skygain.instruments.gridded import FLOOR_STD_DB, GriddedRecording, gridded
 
@@ -31,7 +32,8 @@ MAX_BYTES = 1_000_000_000
 """largest file read without being asked to; about 20 million readings"""
 
 MAX_LEVEL_DB = 300.0
-"""a level beyond this in size is a logger's mark for "no value" (such as 2147483647), not a reading"""
+"""a level beyond this in size is a logger's mark for "no value" (such as 2147483647), not a
+reading"""
 
 _STRONGEST_POWER_DBM = 30.0
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -40,12 +42,14 @@ _TRUE, _FALSE = {"1", "true", "yes", "1.0"}, {"", "0", "false", "no", "0.0"}
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Readings as recorded, in the order of the file. Exactly one of ``latlon`` and ``xy_m`` is set; arrays are read-only."""
+    """Readings as recorded, in the order of the file. Exactly one of ``latlon`` and ``xy_m`` is
+    set; arrays are read-only."""
 
     level_db: NDArray[np.float64]
     """``[n]`` gain in dB, or power in dBm when ``quantity`` says so"""
     quantity: str
-    """``"gain"``: channel gain in dB; ``"power"``: received power in dBm, which is the gain plus an unknown constant"""
+    """``"gain"``: channel gain in dB; ``"power"``: received power in dBm, which is the gain plus an
+    unknown constant"""
     source: str
     """where it was read from, for titles and messages"""
     latlon: NDArray[np.float64] | None = None
@@ -82,7 +86,9 @@ class Recording:
         """The readings selected by an integer index or boolean mask."""
         index = np.asarray(index)
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Recording(**{k: v[index] if isinstance(v, np.ndarray) else v for k, v in values.items()})
+        return Recording(
+            **{k: v[index] if isinstance(v, np.ndarray) else v for k, v in values.items()}
+        )
 
     def on(self, grid: Grid, *, floor_std_db: float = FLOOR_STD_DB) -> GriddedRecording:
         """One value per cell of ``grid``: see `skygain.instruments.gridded.gridded`."""
@@ -102,19 +108,25 @@ def read_recording(
 ) -> Recording:
     """Read a campaign from a CSV file whose first line names the columns.
 
-    The delimiter (comma, semicolon or tab) is the one that splits the first line into most columns. Text is UTF-8, with or
-    without byte-order mark. In files that are not split by commas a decimal comma is understood. Empty lines are passed over.
+    The delimiter (comma, semicolon or tab) is the one that splits the first line into most columns.
+    Text is UTF-8, with or without byte-order mark. In files that are not split by commas a decimal
+    comma is understood. Empty lines are passed over.
 
     Args:
         path: the file.
-        columns: ``{role: column name}``, role one of `skygain.instruments.columns.ROLES`; other columns are guessed by name.
-        where: ``{column name: value}``; only lines that have these values (compared as text) are read.
-        quantity: what the level column holds: ``"power"`` in dBm, ``"gain"`` in dB (negative), or ``"loss"`` in dB (positive);
-            told from the column's name when left out. A loss is turned into a gain.
-        eirp_dbm: radiated power of the transmitter towards the receiver, antenna gains included; gain = power − EIRP. Without it
-            a power stays a power.
-        crs: projected coordinate reference system of x and y, e.g. ``"EPSG:32617"``; a frame of their own when left out.
-        skip_bad: leave out lines without a usable level and position and count them, instead of refusing the file.
+        columns: ``{role: column name}``, role one of `skygain.instruments.columns.ROLES`; other
+            columns are guessed by name.
+        where: ``{column name: value}``; only lines that have these values (compared as text) are
+            read.
+        quantity: what the level column holds: ``"power"`` in dBm, ``"gain"`` in dB (negative), or
+            ``"loss"`` in dB (positive); told from the column's name when left out. A loss is turned
+            into a gain.
+        eirp_dbm: radiated power of the transmitter towards the receiver, antenna gains included;
+            gain = power − EIRP. Without it a power stays a power.
+        crs: projected coordinate reference system of x and y, e.g. ``"EPSG:32617"``; a frame of
+            their own when left out.
+        skip_bad: leave out lines without a usable level and position and count them, instead of
+            refusing the file.
         max_bytes: refuse larger files.
 
     Raises:
@@ -124,21 +136,30 @@ def read_recording(
     eirp = _checked_eirp(eirp_dbm)
     if quantity not in (None, "power", "gain", "loss"):
         raise InputError(
-            f"quantity is 'power', 'gain' or 'loss', got {quantity!r}; leave it out to tell it from the column's name"
+            f"quantity is 'power', 'gain' or 'loss', got {quantity!r}; leave it out to tell it "
+            "from the column's name"
         )
     with _opened(path, max_bytes) as file:
         try:
             found = _read(file, path.name, columns or {}, where or {}, skip_bad)
         except UnicodeDecodeError as error:
             raise InputError(
-                f"{path.name} is not UTF-8 text (byte 0x{error.object[error.start]:02x}); save it as CSV in UTF-8"
+                f"{path.name} is not UTF-8 text (byte 0x{error.object[error.start]:02x}); save it "
+                "as CSV in UTF-8"
             ) from error
         except csv.Error as error:
             raise InputError(
-                f"{path.name} is no readable CSV ({error}); check for a quotation mark that is never closed"
+                f"{path.name} is no readable CSV ({error}); check for a quotation mark that is "
+                "never closed"
             ) from error
     names = found["columns"]
-    level, kind = _as_gain(found.pop("level"), quantity or level_quantity(names["level"]), names["level"], eirp, path.name)
+    level, kind = _as_gain(
+        found.pop("level"),
+        quantity or level_quantity(names["level"]),
+        names["level"],
+        eirp,
+        path.name,
+    )
     position = np.column_stack([found.pop("first"), found.pop("second")])
     geographic = "latitude" in names
     return Recording(
@@ -164,14 +185,20 @@ def _opened(path: Path, max_bytes: int) -> Any:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     if size > max_bytes:
         raise InputError(
-            f"{path.name} has {size / 1e6:,.0f} MB, more than {max_bytes / 1e6:,.0f} MB; split it, or raise max_bytes"
+            f"{path.name} has {size / 1e6:,.0f} MB, more than {max_bytes / 1e6:,.0f} MB; split it, "
+            "or raise max_bytes"
         )
     if not head.strip():
-        raise InputError(f"{path.name} is empty; expected a line of column names and one line per reading")
+        raise InputError(
+            f"{path.name} is empty; expected a line of column names and one line per reading"
+        )
     if head.startswith(_UTF16_MARKS):
         raise InputError(f"{path.name} is UTF-16 text; save it as CSV in UTF-8")
     if b"\0" in head:
-        raise InputError(f"{path.name} is not text (a spreadsheet or an archive?); export the sheet as CSV in UTF-8")
+        raise InputError(
+            f"{path.name} is not text (a spreadsheet or an archive?); export the sheet as CSV in "
+            "UTF-8"
+        )
     return path.open(encoding="utf-8-sig", newline="")
 
 
@@ -199,24 +226,35 @@ def _number(text: str, decimal_comma: bool) -> float:
         return math.nan
 
 
-def _read(file: Any, name: str, columns: Mapping[str, str], where: Mapping[str, Any], skip_bad: bool) -> dict[str, Any]:
-    """The columns of a recording as arrays; the level as it stands in the file, the position as ``first`` and ``second``."""
+def _read(
+    file: Any, name: str, columns: Mapping[str, str], where: Mapping[str, Any], skip_bad: bool
+) -> dict[str, Any]:
+    """The columns of a recording as arrays; the level as it stands in the file, the position as
+    ``first`` and ``second``."""
     rows = _rows(file)
     _, header, delimiter = next(rows)
     header = [text.strip() for text in header]
     if len(header) < 3:
         raise InputError(
-            f"the first line of {name} has {len(header)} column(s), {', '.join(repr(h[:40]) for h in header)}; expected the "
-            "names of at least three (two for the position, one for the level), split by commas, semicolons or tabs"
+            f"the first line of {name} has {len(header)} column(s), "
+            f"{', '.join(repr(h[:40]) for h in header)}; expected the "
+            "names of at least three (two for the position, one for the level), split by commas, "
+            "semicolons or tabs"
         )
     if all(math.isfinite(_number(text, delimiter != ",")) for text in header):
         raise InputError(
-            f"the first line of {name} holds numbers; put a line of column names, such as latitude,longitude,rsrp, above it"
+            f"the first line of {name} holds numbers; put a line of column names, such as "
+            "latitude,longitude,rsrp, above it"
         )
     index = find_columns(header, columns)
-    wanted = {named_column(header, column, "filter"): str(value).strip() for column, value in where.items()}
+    wanted = {
+        named_column(header, column, "filter"): str(value).strip()
+        for column, value in where.items()
+    }
     first, second = ("latitude", "longitude") if "latitude" in index else ("x", "y")
-    kept: dict[str, list[Any]] = {role: [] for role in (first, second, "level", "noise", "censored", "time", "line")}
+    kept: dict[str, list[Any]] = {
+        role: [] for role in (first, second, "level", "noise", "censored", "time", "line")
+    }
     seen: dict[int, set[str]] = {i: set() for i in wanted}
     read, skipped, complaint = 0, 0, ""
     for line, row, _ in rows:
@@ -227,7 +265,9 @@ def _read(file: Any, name: str, columns: Mapping[str, str], where: Mapping[str, 
         if problem:
             complaint = complaint or f"{name} line {line}: {problem}"
             if not skip_bad:
-                raise InputError(f"{complaint}; mend or delete the line, or skip bad lines (skip_bad)")
+                raise InputError(
+                    f"{complaint}; mend or delete the line, or skip bad lines (skip_bad)"
+                )
             skipped += 1
             continue
         for role, value in values.items():
@@ -235,7 +275,11 @@ def _read(file: Any, name: str, columns: Mapping[str, str], where: Mapping[str, 
         kept["line"].append(line)
     if not kept["line"]:
         raise InputError(_nothing_read(name, header, read, skipped, complaint, wanted, seen))
-    time_s = _seconds(kept["time"], header[index["time"]], explicit="time" in columns) if "time" in index else None
+    time_s = (
+        _seconds(kept["time"], header[index["time"]], explicit="time" in columns)
+        if "time" in index
+        else None
+    )
     if time_s is None:
         index.pop("time", None)
     return {
@@ -252,7 +296,8 @@ def _read(file: Any, name: str, columns: Mapping[str, str], where: Mapping[str, 
 
 
 def _matches(row: Sequence[str], wanted: Mapping[int, str], seen: Mapping[int, set[str]]) -> bool:
-    """Whether a line passes the filter; remembers a few values met, for the message when none does."""
+    """Whether a line passes the filter; remembers a few values met, for the message when none
+    does."""
     passes = True
     for i, value in wanted.items():
         text = row[i].strip() if i < len(row) else ""
@@ -263,7 +308,11 @@ def _matches(row: Sequence[str], wanted: Mapping[int, str], seen: Mapping[int, s
 
 
 def _parsed(
-    row: Sequence[str], header: Sequence[str], index: Mapping[str, int], decimal_comma: bool, pair: tuple[str, str]
+    row: Sequence[str],
+    header: Sequence[str],
+    index: Mapping[str, int],
+    decimal_comma: bool,
+    pair: tuple[str, str],
 ) -> tuple[dict[str, Any], str]:
     """What a line says for each role, and what is wrong with it (empty if nothing)."""
     if any(text.strip() for text in row[len(header) :]):
@@ -283,17 +332,26 @@ def _parsed(
             if not math.isfinite(values[role]):
                 return {}, f"{what} {text[:40]!r}, expected a finite number"
     if abs(values["level"]) > MAX_LEVEL_DB:
-        return {}, f"the level ({header[index['level']]}) is {values['level']:g} dB, beyond anything a receiver reports"
+        return (
+            {},
+            f"the level ({header[index['level']]}) is {values['level']:g} dB, beyond anything a "
+            "receiver reports",
+        )
     if "noise" in values and not 0 <= values["noise"] <= MAX_LEVEL_DB:
         return {}, f"the noise is {values['noise']:g} dB, expected a standard deviation from 0"
-    return values, _position_problem(values[pair[0]], values[pair[1]]) if pair[0] == "latitude" else ""
+    return values, _position_problem(values[pair[0]], values[pair[1]]) if pair[
+        0
+    ] == "latitude" else ""
 
 
 def _position_problem(latitude: float, longitude: float) -> str:
     """What is wrong with a position in degrees, empty if nothing."""
     if abs(latitude) > 90:
         if abs(longitude) <= 90 and abs(latitude) <= 180:
-            return f"the latitude is {latitude:g}, beyond 90 degrees, so latitude and longitude look swapped"
+            return (
+                f"the latitude is {latitude:g}, beyond 90 degrees, so latitude and longitude look "
+                "swapped"
+            )
         return f"the latitude is {latitude:g}, expected −90 to 90 degrees"
     if not -180 <= longitude <= 360:
         return f"the longitude is {longitude:g}, expected −180 to 180 degrees"
@@ -317,7 +375,9 @@ def _nothing_read(
     if skipped:
         return f"all {skipped} lines of {name} are bad, the first because: {complaint}"
     filters = " and ".join(f"{header[i]}={value}" for i, value in wanted.items())
-    values = "; ".join(f"{header[i]} has {', '.join(repr(v[:40]) for v in sorted(seen[i]))}" for i in wanted)
+    values = "; ".join(
+        f"{header[i]} has {', '.join(repr(v[:40]) for v in sorted(seen[i]))}" for i in wanted
+    )
     more = " …" if any(len(met) >= 12 for met in seen.values()) else ""
     return f"no line of {name} has {filters}; choose other values ({values}{more})"
 
@@ -325,26 +385,34 @@ def _nothing_read(
 def _as_gain(
     level: NDArray[np.float64], kind: str, column: str, eirp_dbm: float | None, name: str
 ) -> tuple[NDArray[np.float64], str]:
-    """The level with its sign and reference put right, and whether it is now a ``"gain"`` or still a ``"power"``."""
+    """The level with its sign and reference put right, and whether it is now a ``"gain"`` or still
+    a ``"power"``."""
     if kind == "power":
         if level.min() > _STRONGEST_POWER_DBM:
             raise InputError(
-                f"{name}: column {column!r} as power is at least {level.min():+g} dBm, which no receiver survives; if it is a "
-                "loss in dB, say quantity='loss'; if it is an index such as ASU, or has lost its minus sign, convert it to dBm"
+                f"{name}: column {column!r} as power is at least {level.min():+g} dBm, which no "
+                "receiver survives; if it is a "
+                "loss in dB, say quantity='loss'; if it is an index such as ASU, or has lost its "
+                "minus sign, convert it to dBm"
             )
         return (level, "power") if eirp_dbm is None else (level - eirp_dbm, "gain")
     if eirp_dbm is not None:
-        raise InputError(f"{name}: column {column!r} is a {kind} in dB, which has no EIRP to take off; leave the EIRP out")
+        raise InputError(
+            f"{name}: column {column!r} is a {kind} in dB, which has no EIRP to take off; leave "
+            "the EIRP out"
+        )
     if kind == "loss":
         if level.min() < 0:
             raise InputError(
-                f"{name}: column {column!r} as loss should be positive dB, but holds {level.min():g}; "
+                f"{name}: column {column!r} as loss should be positive dB, but holds "
+                f"{level.min():g}; "
                 "if it is a gain, say quantity='gain'"
             )
         return 0.0 - level, "gain"
     if level.min() > 0:
         raise InputError(
-            f"{name}: column {column!r} as gain should be negative dB, but is at least {level.min():g}; "
+            f"{name}: column {column!r} as gain should be negative dB, but is at least "
+            f"{level.min():g}; "
             "if it is a loss, say quantity='loss'"
         )
     return level, "gain"
@@ -365,17 +433,24 @@ def _checked_crs(crs: str | None, geographic: bool, name: str) -> str | None:
         if parsed.to_epsg() == 4326:
             return None
         raise InputError(
-            f"{name} has latitudes and longitudes, which are taken as WGS 84; leave the CRS {crs!r} out, or name x and y columns"
+            f"{name} has latitudes and longitudes, which are taken as WGS 84; leave the CRS "
+            f"{crs!r} out, or name x and y columns"
         )
     if parsed.is_geographic:
-        raise InputError(f"{crs!r} is in degrees, but {name} is read by x and y; name its columns as latitude and longitude")
+        raise InputError(
+            f"{crs!r} is in degrees, but {name} is read by x and y; name its columns as latitude "
+            "and longitude"
+        )
     if not parsed.is_projected or any(axis.unit_name != "metre" for axis in parsed.axis_info):
-        raise InputError(f"{crs!r} is not a projection in metres; give one for x and y, e.g. 'EPSG:32617'")
+        raise InputError(
+            f"{crs!r} is not a projection in metres; give one for x and y, e.g. 'EPSG:32617'"
+        )
     return crs
 
 
 def _seconds(texts: Sequence[str], column: str, *, explicit: bool) -> NDArray[np.float64] | None:
-    """Seconds since the earliest, from numbers (milliseconds by name or size) or ISO 8601; ``None`` if a guess cannot be read."""
+    """Seconds since the earliest, from numbers (milliseconds by name or size) or ISO 8601; ``None``
+    if a guess cannot be read."""
     numbers = np.array([_number(text, False) for text in texts])
     if (np.abs(numbers) < 1e15).all():  # NaN, where a text is no number, fails this too
         # Seconds since 1970 reach 1e11 in the year 5138.
@@ -388,6 +463,7 @@ def _seconds(texts: Sequence[str], column: str, *, explicit: bool) -> NDArray[np
     except (ValueError, TypeError) as error:
         if explicit:
             raise InputError(
-                f"column {column!r} is not time: expected seconds or ISO 8601, such as 2024-05-01T12:00:00Z ({error})"
+                f"column {column!r} is not time: expected seconds or ISO 8601, such as "
+                f"2024-05-01T12:00:00Z ({error})"
             ) from error
         return None

@@ -6,16 +6,20 @@ __all__ = ["PLANNERS", "Certificate", "Plan", "Planner", "create_planner"]
 
 from typing import Any
 
+from skygain.ground.registry import Registry
 from skygain.planners.base import Certificate, Plan, Planner
-from skygain.registry import Registry
 
 PLANNERS: Registry[Planner] = Registry("planner")
 PLANNERS.register("random-waypoint", "skygain.planners.random_waypoint:RandomWaypointPlanner")
 PLANNERS.register("lawnmower", "skygain.planners.lawnmower:LawnmowerPlanner")
 PLANNERS.register("spiral", "skygain.planners.lawnmower:SpiralPlanner")
 PLANNERS.register("entropy-vi", "skygain.planners.entropy_value_iteration:EntropyPlanner")
-PLANNERS.register("entropy-vi-conditioned", "skygain.planners.entropy_value_iteration:conditioned_entropy_planner")
-PLANNERS.register("independent-greedy", "skygain.planners.sequential_greedy:independent_greedy_planner")
+PLANNERS.register(
+    "entropy-vi-conditioned", "skygain.planners.entropy_value_iteration:conditioned_entropy_planner"
+)
+PLANNERS.register(
+    "independent-greedy", "skygain.planners.sequential_greedy:independent_greedy_planner"
+)
 PLANNERS.register("sequential-greedy", "skygain.planners.sequential_greedy:SequentialGreedyPlanner")
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
 PLANNERS.register("lookahead", "skygain.planners.lookahead:LookaheadPlanner")

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.flight.swarm import Swarm
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A proof of how far a plan can be from the best plan of the same horizon, for a stated objective."""
+    """A proof of how far a plan can be from the best plan of the same horizon, for a stated
+    objective."""
 
     objective: str
     """what is maximised, with its constants, for example ``"½ log det(I + K/σ²), σ² = 1 dB²"``"""
@@ -39,7 +40,8 @@ class Certificate:
 
     @property
     def share(self) -> float | None:
-        """At least this share of the way from random plans to the best one is gone; ``None`` without random plans."""
+        """At least this share of the way from random plans to the best one is gone; ``None``
+        without random plans."""
         if self.random_nats is None:
             return None
         way = self.upper_bound_nats - self.random_nats
@@ -64,12 +66,16 @@ class Plan:
 
 
 class Planner(ABC):
-    """A method that chooses where the swarm measures next. Holds settings and weights, never a survey's state."""
+    """A method that chooses where the swarm measures next. Holds settings and weights, never a
+    survey's state."""
 
     @abstractmethod
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
-        """Legal paths of 1 to ``horizon`` steps from where the swarm is; ``horizon`` (>= 1) is what is left of the survey.
+        """Legal paths of 1 to ``horizon`` steps from where the swarm is; ``horizon`` (>= 1) is what
+        is left of the survey.
 
-        What a planner needs to remember (last moves, steps flown, cells visited) stands in the swarm and the belief, so that
-        planning is a function of its arguments: the same swarm, belief, horizon and seed give the same plan.
+        What a planner needs to remember (last moves, steps flown, cells visited) stands in the
+        swarm and the belief, so that
+        planning is a function of its arguments: the same swarm, belief, horizon and seed give the
+        same plan.
         """

@@ -1,16 +1,21 @@
-"""Entropy value iteration: the paper's planner for Kriging, problem P3, solved exactly for one to three UAVs.
+"""Entropy value iteration: the paper's planner for Kriging, problem P3, solved exactly for one to
+three UAVs.
 
-The paths maximise Σ_t H(y_{t+1} | y_t), the entropy of each step's readings given only those of the step before, over all joint
-paths of ``horizon`` steps. The paper writes the recursion V(P) = max_u r(P, u) + V(T(P, u)) with r = H(y_{t+1} | y_t) for legal
-joint moves and −∞ otherwise; `skygain.planners.joint_paths` evaluates it on the joint positions that can be reached in time. A
-cell that two UAVs hold, or that was held one step before, counts once. Equal paths are drawn from by seed.
+The paths maximise Σ_t H(y_{t+1} | y_t), the entropy of each step's readings given only those of the
+step before, over all joint paths of ``horizon`` steps. The paper writes the recursion V(P) = max_u
+r(P, u) + V(T(P, u)) with r = H(y_{t+1} | y_t) for legal joint moves and −∞ otherwise;
+`skygain.planners.search.joint_paths` evaluates it on the joint positions that can be reached in
+time. A cell that two UAVs hold, or that was held one step before, counts once. Equal paths are
+drawn from by seed.
 
-P3 forgets what was measured earlier, so it may fly back and forth over measured ground. With ``conditioned`` every entropy is also
-conditioned on all readings so far, H(y_{t+1} | y_t, D): the covariance then depends on the place and the reward is computed per
-joint position, which is slower and bounds the horizon for three UAVs.
+P3 forgets what was measured earlier, so it may fly back and forth over measured ground. With
+``conditioned`` every entropy is also conditioned on all readings so far, H(y_{t+1} | y_t, D): the
+covariance then depends on the place and the reward is computed per joint position, which is slower
+and bounds the horizon for three UAVs.
 
-Hovering is not in P3. Where the rules leave no joint path of the full horizon without a hover, the horizon is halved until there
-is one, and a swarm that cannot even move one step jointly makes one random legal step.
+Hovering is not in P3. Where the rules leave no joint path of the full horizon without a hover, the
+horizon is halved until there is one, and a swarm that cannot even move one step jointly makes one
+random legal step.
 """
 
 from __future__ import annotations
@@ -22,11 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.errors import InputError
+from skygain.fields.planning import FALLBACK_RANGE_M, PlanningField, planning_field
+from skygain.flight.airspace import Airspace, Cells
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
-from skygain.planners.covariance import FALLBACK_RANGE_M, PlanningField, planning_field
-from skygain.planners.flight import Airspace, Cells
-from skygain.planners.joint_paths import (
+from skygain.planners.random_waypoint import RandomWaypointPlanner
+from skygain.planners.search.joint_paths import (
     LOG_2_PI_E,
     MOVE_STEPS,
     allowed_squares,
@@ -36,9 +43,7 @@ from skygain.planners.joint_paths import (
     values_by_offset,
     values_by_place,
 )
-from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 TIE_NATS = 1e-5
 """joint moves whose values differ by less are equal; single precision resolves no more"""
@@ -50,7 +55,8 @@ KNOWN_SHARE = 1e-5
 
 @dataclass(frozen=True)
 class EntropyPlanner(Planner):
-    """P3 by value iteration over joint positions. Time and memory grow as 4^N · horizon^(2N + 1) and horizon^(2N + 1)."""
+    """P3 by value iteration over joint positions. Time and memory grow as 4^N · horizon^(2N + 1)
+    and horizon^(2N + 1)."""
 
     horizon: int = 20
     """steps planned"""
@@ -61,19 +67,22 @@ class EntropyPlanner(Planner):
     max_states: int = 700_000_000
     """joint positions whose values may be kept (4 bytes each); the horizon is cut to fit"""
     max_rewards: int = 12_000_000
-    """joint positions whose rewards may be computed one by one when ``conditioned``; the horizon is cut to fit"""
+    """joint positions whose rewards may be computed one by one when ``conditioned``; the horizon is
+    cut to fit"""
 
     def __post_init__(self) -> None:
         if self.horizon < 1 or self.commit_steps < 1:
             raise InputError(
-                f"entropy value iteration needs horizon >= 1 and commit_steps >= 1, got {self.horizon} and {self.commit_steps}"
+                "entropy value iteration needs horizon >= 1 and commit_steps >= 1, got "
+                f"{self.horizon} and {self.commit_steps}"
             )
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         flying = np.flatnonzero(swarm.flying)
         if len(flying) > 3:
             raise InputError(
-                f"entropy value iteration plans at most 3 UAVs jointly, got {len(flying)}; use sequential-greedy for more"
+                f"entropy value iteration plans at most 3 UAVs jointly, got {len(flying)}; use "
+                "sequential-greedy for more"
             )
         steps = min(self.horizon, horizon, int(swarm.steps_left[flying].min(initial=horizon)))
         most = min(self.max_states, self.max_rewards) if self.conditioned else self.max_states
@@ -81,7 +90,9 @@ class EntropyPlanner(Planner):
             steps -= 1
         field = planning_field(belief)
         while steps >= 1 and len(flying):
-            for margin in (2 * len(flying), 0) if swarm.home_steps is not None and len(flying) > 1 else (0,):
+            for margin in (
+                (2 * len(flying), 0) if swarm.home_steps is not None and len(flying) > 1 else (0,)
+            ):
                 joint = self._paths(swarm, field, flying, steps, margin, rng)
                 if joint is not None:
                     paths = np.repeat(swarm.cells[:, None], steps + 1, axis=1)
@@ -91,22 +102,39 @@ class EntropyPlanner(Planner):
         return Plan(RandomWaypointPlanner().paths(swarm, 1, rng), commit_steps=1)
 
     def _paths(
-        self, swarm: Swarm, field: PlanningField, flying: NDArray[np.int64], steps: int, margin: int, rng: np.random.Generator
+        self,
+        swarm: Swarm,
+        field: PlanningField,
+        flying: NDArray[np.int64],
+        steps: int,
+        margin: int,
+        rng: np.random.Generator,
     ) -> Cells | None:
-        """``[flying uav, steps + 1, (row, col)]`` an optimal joint path, or ``None`` if none is legal without hovering."""
+        """``[flying uav, steps + 1, (row, col)]`` an optimal joint path, or ``None`` if none is
+        legal without hovering."""
         air = Airspace.of(swarm)
         start = np.ascontiguousarray(swarm.cells[flying])
-        allowed = np.stack([
-            allowed_squares(
-                air.flyable, swarm.cells[u], steps, None if swarm.home_steps is None else swarm.home_steps[u],
-                int(swarm.steps_left[u]) - margin,
-            )
-            for u in flying
-        ])  # fmt: skip
+        allowed = np.stack(
+            [
+                allowed_squares(
+                    air.flyable,
+                    swarm.cells[u],
+                    steps,
+                    None if swarm.home_steps is None else swarm.home_steps[u],
+                    int(swarm.steps_left[u]) - margin,
+                )
+                for u in flying
+            ]
+        )
         kernel = _stationary_kernel(field, start, steps)
         floor = KNOWN_SHARE * float(kernel[0, 0])
-        # entropy of unrelated readings, one move after their cell was read: the natural zero of the rewards
-        shift = len(start) * 0.5 * (LOG_2_PI_E + np.log(max(kernel[0, 0] - kernel[1, 0] ** 2 / kernel[0, 0], floor)))
+        # entropy of unrelated readings, one move after their cell was read: the natural zero of the
+        # rewards
+        shift = (
+            len(start)
+            * 0.5
+            * (LOG_2_PI_E + np.log(max(kernel[0, 0] - kernel[1, 0] ** 2 / kernel[0, 0], floor)))
+        )
         if self.conditioned:
             places, posterior = _posterior_of_reach(field, start, allowed)
             arguments = (places, posterior, floor, air.separate, air.min_cells, shift)
@@ -118,7 +146,9 @@ class EntropyPlanner(Planner):
                 place_rewards(now, *arguments, *scratch)
                 return scratch[2].copy()
         else:
-            values, begin = values_by_offset(start, steps, allowed, kernel, floor, air.separate, air.min_cells, shift)
+            values, begin = values_by_offset(
+                start, steps, allowed, kernel, floor, air.separate, air.min_cells, shift
+            )
 
             def rewards(now: Cells) -> NDArray[np.float64]:
                 return kernel_rewards(now, kernel, floor, air.separate, air.min_cells, shift)
@@ -132,7 +162,8 @@ def conditioned_entropy_planner(**options: object) -> EntropyPlanner:
 
 
 def _stationary_kernel(field: PlanningField, start: Cells, steps: int) -> NDArray[np.float64]:
-    """``[|row offset|, |col offset|]`` prior covariance for every offset that can occur within ``steps``."""
+    """``[|row offset|, |col offset|]`` prior covariance for every offset that can occur within
+    ``steps``."""
     reach = 2 * steps + 3 + int(np.abs(start[:, None] - start[None]).max(initial=0))
     rows, cols = np.ogrid[:reach, :reach]
     distance_m = np.hypot(rows, cols) * field.grid.spacing_m
@@ -144,7 +175,8 @@ def _stationary_kernel(field: PlanningField, start: Cells, steps: int) -> NDArra
 def _posterior_of_reach(
     field: PlanningField, start: Cells, allowed: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Numbers of the reachable cells ``[row, col]`` (−1 elsewhere) and their posterior covariance."""
+    """Numbers of the reachable cells ``[row, col]`` (−1 elsewhere) and their posterior
+    covariance."""
     mask = np.zeros(field.grid.shape, dtype=bool)
     mask[start[:, 0], start[:, 1]] = True
     for u, (row, col) in enumerate(start):

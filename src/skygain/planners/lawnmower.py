@@ -1,8 +1,9 @@
 """Lawnmower and spiral: the sweeping rivals, coordinated between the UAVs and legal.
 
-Sweeping ignores what was measured and is strong all the same: evenly spread tracks leave no cell far from a measurement. The lane
-spacing is the closest that the steps left allow (see `skygain.planners.sweep`), each lane is shifted to the freest row or column
-near it, and buildings are flown round. The plan runs to the end of the survey.
+Sweeping ignores what was measured and is strong all the same: evenly spread tracks leave no cell
+far from a measurement. The lane spacing is the closest that the steps left allow (see
+`skygain.planners.search.sweep`), each lane is shifted to the freest row or column near it, and
+buildings are flown round. The plan runs to the end of the survey.
 """
 
 from __future__ import annotations
@@ -15,28 +16,41 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.flight.airspace import Cells
+from skygain.flight.swarm import Swarm
 from skygain.planners.base import Plan, Planner
-from skygain.planners.flight import Cells
-from skygain.planners.sweep import Pattern, Region, sweep
+from skygain.planners.search.sweep import Pattern, Region, sweep
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 
 def _line(row: int, col: int, row_to: int, col_to: int) -> Cells:
     """Cells of a straight line, both ends included."""
     n = max(abs(row_to - row), abs(col_to - col)) + 1
-    return np.stack([np.linspace(row, row_to, n), np.linspace(col, col_to, n)], axis=1).round().astype(np.int64)
+    return (
+        np.stack([np.linspace(row, row_to, n), np.linspace(col, col_to, n)], axis=1)
+        .round()
+        .astype(np.int64)
+    )
 
 
 def _lane(free: NDArray[np.int64], centre: float, reach: float) -> int:
-    """The line index within ``reach`` of ``centre`` with the most free cells, the nearest of equals."""
-    low, high = max(0, int(np.ceil(centre - reach))), min(len(free) - 1, int(np.floor(centre + reach)))
-    options = np.arange(low, high + 1) if high >= low else np.array([int(np.clip(round(centre), 0, len(free) - 1))])
+    """The line index within ``reach`` of ``centre`` with the most free cells, the nearest of
+    equals."""
+    low, high = (
+        max(0, int(np.ceil(centre - reach))),
+        min(len(free) - 1, int(np.floor(centre + reach))),
+    )
+    options = (
+        np.arange(low, high + 1)
+        if high >= low
+        else np.array([int(np.clip(round(centre), 0, len(free) - 1))])
+    )
     return int(options[np.lexsort((np.abs(options - centre), -free[options]))[0]])
 
 
 def lanes(flyable: NDArray[np.bool_]) -> Pattern:
-    """Boustrophedon: ``density`` lanes across the region. Variants: lane axis, first lane, first direction, trimmed ends."""
+    """Boustrophedon: ``density`` lanes across the region. Variants: lane axis, first lane, first
+    direction, trimmed ends."""
 
     def pattern(region: Region, density: int, variant: int) -> Cells | None:
         if variant >= 16:
@@ -66,7 +80,8 @@ def lanes(flyable: NDArray[np.bool_]) -> Pattern:
 
 
 def rings(flyable: NDArray[np.bool_]) -> Pattern:
-    """Inward rectangular spiral with ``density`` turns. Variants: starting corner and sense of rotation."""
+    """Inward rectangular spiral with ``density`` turns. Variants: starting corner and sense of
+    rotation."""
 
     def pattern(region: Region, density: int, variant: int) -> Cells | None:
         if variant >= 8:
@@ -77,7 +92,12 @@ def rings(flyable: NDArray[np.bool_]) -> Pattern:
         corners = []
         for turn in range(density):
             inset = int((turn + 0.5) * step)
-            low, high, left, right = row + inset, row_end - 1 - inset, col + inset, col_end - 1 - inset
+            low, high, left, right = (
+                row + inset,
+                row_end - 1 - inset,
+                col + inset,
+                col_end - 1 - inset,
+            )
             ring = [(low, left), (low, right), (high, right), (high, left)]
             ring = ring[variant % 4 :] + ring[: variant % 4]
             if variant >= 4:

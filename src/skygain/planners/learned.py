@@ -1,8 +1,10 @@
 """Planners that are trained networks: `dqn` by Q-learning, `imitation` by watching an expert.
 
-At every step each UAV looks at the belief, the city and the swarm, and takes the move its network values most among the legal ones;
-UAVs whose wishes collide choose one after another (`skygain.planners.flight`). A network with a view centred on the UAV is asked
-about all eight turns and mirror images of what it sees and the answers are averaged, so that the plan turns with the city.
+At every step each UAV looks at the belief, the city and the swarm, and takes the move its network
+values most among the legal ones; UAVs whose wishes collide choose one after another
+(`skygain.flight.airspace`). A network with a view centred on the UAV is asked about all eight turns
+and mirror images of what it sees and the answers are averaged, so that the plan turns with the
+city.
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.environments.observation import packed_height, packed_mean, packed_std
+from skygain.flight.airspace import Airspace, blocked_home, home_margins, resolve_step
+from skygain.flight.swarm import Swarm
+from skygain.networks.policies.planes import packed_height, packed_mean, packed_std
 from skygain.planners.base import Plan, Planner
-from skygain.planners.flight import Airspace, blocked_home, home_margins, resolve_step
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,16 @@ class PolicyPlanner(Planner):
     weights: str | Path
     """name or file of the weights"""
     symmetries: int = 8
-    """turns and mirror images averaged over, 1 to 8; the paper's network, whose view is not centred, is asked once"""
+    """turns and mirror images averaged over, 1 to 8; the paper's network, whose view is not
+    centred, is asked once"""
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         score = self.values(swarm, belief) + 1e-9 * rng.random((swarm.n_uavs, 4))
-        air, start, then = Airspace.of(swarm), np.ascontiguousarray(swarm.cells), np.empty((swarm.n_uavs, 2), dtype=np.int64)
+        air, start, then = (
+            Airspace.of(swarm),
+            np.ascontiguousarray(swarm.cells),
+            np.empty((swarm.n_uavs, 2), dtype=np.int64),
+        )
         for margin in home_margins(swarm):
             if resolve_step(start, score, swarm.steps_left, margin, air, then):
                 return Plan(np.stack([swarm.cells, then], axis=1), commit_steps=1)
@@ -45,11 +52,15 @@ class PolicyPlanner(Planner):
         """``[uav, move]`` how much each UAV's network favours each move, legal or not."""
         import torch
 
-        from skygain.learning.policy_inputs import SYMMETRIES, Seen, last_moves, turned_moves
+        from skygain.networks.policies.inputs import SYMMETRIES, Seen, last_moves, turned_moves
 
         network, z = self._network
         posterior, n = belief.posterior(), swarm.n_uavs
-        maps = packed_mean(posterior.mean_db), packed_std(posterior.variance_db2), packed_height(belief.scenario.city.height_m)
+        maps = (
+            packed_mean(posterior.mean_db),
+            packed_std(posterior.variance_db2),
+            packed_height(belief.scenario.city.height_m),
+        )
         mean, std, height = (np.broadcast_to(m, (n, *m.shape)) for m in maps)
         seen = Seen(
             mean=mean,
@@ -66,23 +77,29 @@ class PolicyPlanner(Planner):
         with torch.inference_mode():
             for symmetry, inputs in enumerate(network.all_inputs(seen, count)):
                 logits = network(*inputs)
-                value = torch.log_softmax(logits[..., 0], dim=-1) if z is None else torch.softmax(logits, dim=-1) @ z
+                value = (
+                    torch.log_softmax(logits[..., 0], dim=-1)
+                    if z is None
+                    else torch.softmax(logits, dim=-1) @ z
+                )
                 total += value.numpy()[:, turned_moves(symmetry)]
         return total / count
 
     @cached_property
     def _network(self) -> tuple[Any, Any]:
         """The network and the support of its returns, ``None`` for an imitator."""
-        from skygain.learning.policy_weights import load_policy
+        from skygain.networks.policies.weights import load_policy
 
         return load_policy(self.weights)
 
 
 def dqn_planner(weights: str | Path = "dqn", **options: Any) -> PolicyPlanner:
-    """The multi-agent DQN; train it with ``skygain train policy --recipe dqn`` (or ``paper-dqn``)."""
+    """The multi-agent DQN; train it with ``skygain train policy --recipe dqn`` (or
+    ``paper-dqn``)."""
     return PolicyPlanner(weights, **options)
 
 
 def imitation_planner(weights: str | Path = "imitation", **options: Any) -> PolicyPlanner:
-    """The imitator of a planner that looks ahead; train it with ``skygain train policy --recipe imitation``."""
+    """The imitator of a planner that looks ahead; train it with ``skygain train policy --recipe
+    imitation``."""
     return PolicyPlanner(weights, **options)

@@ -1,7 +1,9 @@
-"""Random waypoints, the paper's passive baseline (section VIII-B) and the motion its predictors are trained on.
+"""Random waypoints, the paper's passive baseline (section VIII-B) and the motion its predictors are
+trained on.
 
-Each UAV repeats its last move with probability p and otherwise draws a legal move uniformly. The last move is read from the
-swarm's history, so a survey that plans again in the middle continues straight.
+Each UAV repeats its last move with probability p and otherwise draws a legal move uniformly. The
+last move is read from the swarm's history, so a survey that plans again in the middle continues
+straight.
 """
 
 from __future__ import annotations
@@ -13,23 +15,36 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from skygain.errors import InputError
+from skygain.flight.airspace import (
+    DCOL,
+    DROW,
+    Airspace,
+    Cells,
+    blocked_home,
+    home_margins,
+    resolve_step,
+)
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
-from skygain.planners.flight import DCOL, DROW, Airspace, Cells, blocked_home, home_margins, resolve_step
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 
 @dataclass(frozen=True)
 class RandomWaypointPlanner(Planner):
-    """Straight on with probability p, else any legal move. O(horizon · N²), a few microseconds per step."""
+    """Straight on with probability p, else any legal move. O(horizon · N²), a few microseconds per
+    step."""
 
     repeat_probability: float = 0.8
-    """p, the probability of repeating the last move; when that move is illegal the UAV draws like otherwise"""
+    """p, the probability of repeating the last move; when that move is illegal the UAV draws like
+    otherwise"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.repeat_probability <= 1:
-            raise InputError(f"repeat_probability must lie in 0..1, got {self.repeat_probability}; the paper uses 0.8")
+            raise InputError(
+                f"repeat_probability must lie in 0..1, got {self.repeat_probability}; the paper "
+                "uses 0.8"
+            )
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         return Plan(self.paths(swarm, horizon, rng), commit_steps=horizon)
@@ -49,7 +64,9 @@ class RandomWaypointPlanner(Planner):
         draws = rng.random((horizon, swarm.n_uavs, 5))
         start = np.ascontiguousarray(swarm.cells)
         for margin in home_margins(swarm):
-            paths, flown = _walk(start, swarm.steps_left, last, draws, self.repeat_probability, margin, air)
+            paths, flown = _walk(
+                start, swarm.steps_left, last, draws, self.repeat_probability, margin, air
+            )
             if flown == horizon:
                 return paths
         raise blocked_home()
@@ -57,7 +74,8 @@ class RandomWaypointPlanner(Planner):
 
 @njit(cache=True)
 def _walk(start, left, last, draws, p, margin, air):
-    """Random-waypoint paths ``[uav, step, 2]`` from uniform ``draws[step, uav, 5]``, and how many steps succeeded."""
+    """Random-waypoint paths ``[uav, step, 2]`` from uniform ``draws[step, uav, 5]``, and how many
+    steps succeeded."""
     horizon, n, _ = draws.shape
     paths = np.empty((n, horizon + 1, 2), dtype=np.int64)
     paths[:, 0] = start
@@ -66,7 +84,9 @@ def _walk(start, left, last, draws, p, margin, air):
     score = np.empty((n, 4))
     for step in range(horizon):
         for u in range(n):
-            score[u] = draws[step, u, 1:]  # the highest of four uniform draws is a uniform choice among any legal subset
+            score[u] = draws[
+                step, u, 1:
+            ]  # the highest of four uniform draws is a uniform choice among any legal subset
             if last[u] >= 0 and draws[step, u, 0] < p:
                 score[u, last[u]] = 2.0
         if not resolve_step(now, score, left, margin, air, then):

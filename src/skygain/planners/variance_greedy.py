@@ -1,14 +1,17 @@
-"""Greedy variance, the paper's active baseline (section VIII-D, problems P4 and P5), for any belief.
+"""Greedy variance, the paper's active baseline (section VIII-D, problems P4 and P5), for any
+belief.
 
-Every UAV on its own takes the path with the largest sum of predicted variances, Σ_t σ²(P_{t+1}), among the paths on which each
-move leads further from where the UAV stood when it planned (the paper's G*). "Further" is measured in moves round the buildings
-(the breadth-first distance d), so every move adds exactly one, time is the distance itself, and value iteration needs each cell
-once:
+Every UAV on its own takes the path with the largest sum of predicted variances, Σ_t σ²(P_{t+1}),
+among the paths on which each move leads further from where the UAV stood when it planned (the
+paper's G*). "Further" is measured in moves round the buildings (the breadth-first distance d), so
+every move adds exactly one, time is the distance itself, and value iteration needs each cell once:
 
-    V(c) = max over neighbours c' with d(c') = d(c) + 1 of  σ²(c') + V(c'),     V = 0 where no such neighbour is left.
+    V(c) = max over neighbours c' with d(c') = d(c) + 1 of  σ²(c') + V(c'),     V = 0 where no such
+    neighbour is left.
 
-Where no move leads further (the end of a street, the rim of the map), G* starts anew from there, with the variance of the cells
-already on the path counted as zero; where all such moves are blocked by other UAVs, the UAV takes its best other legal move.
+Where no move leads further (the end of a street, the rim of the map), G* starts anew from there,
+with the variance of the cells already on the path counted as zero; where all such moves are blocked
+by other UAVs, the UAV takes its best other legal move.
 """
 
 from __future__ import annotations
@@ -20,17 +23,26 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from skygain.errors import InputError
+from skygain.flight.airspace import (
+    DCOL,
+    DROW,
+    Airspace,
+    bfs,
+    blocked_home,
+    home_margins,
+    resolve_step,
+)
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
-from skygain.planners.flight import DCOL, DROW, Airspace, bfs, blocked_home, home_margins, resolve_step
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.predictors.base import Belief
-from skygain.swarm import Swarm
 
 
 @dataclass(frozen=True)
 class GreedyVariancePlanner(Planner):
-    """Per-UAV value iteration over the predicted variance. O(N · cells) per plan and restart of G*."""
+    """Per-UAV value iteration over the predicted variance. O(N · cells) per plan and restart of
+    G*."""
 
     start_steps: int = 20
     """T_start: random-waypoint steps flown before the variance is trusted"""
@@ -42,7 +54,8 @@ class GreedyVariancePlanner(Planner):
     def __post_init__(self) -> None:
         if self.start_steps < 0 or self.commit_steps < 1:
             raise InputError(
-                f"greedy variance needs start_steps >= 0 and commit_steps >= 1, got {self.start_steps} and {self.commit_steps}; "
+                "greedy variance needs start_steps >= 0 and commit_steps >= 1, got "
+                f"{self.start_steps} and {self.commit_steps}; "
                 "the paper uses 20 and 40"
             )
 
@@ -63,7 +76,8 @@ class GreedyVariancePlanner(Planner):
 
 @njit(cache=True)
 def _away_values(flyable, row, col, steps, variance, distance, value, queue):
-    """Fill ``distance`` from (row, col) and the value of moving away from there within ``steps`` moves."""
+    """Fill ``distance`` from (row, col) and the value of moving away from there within ``steps``
+    moves."""
     rows, cols = flyable.shape
     reached = bfs(flyable, row, col, distance, queue)
     for k in range(reached - 1, -1, -1):  # breadth-first order backwards: farthest cells first
@@ -88,14 +102,25 @@ def _greedy(start, left, horizon, variance, noise, margin, air):
     paths[:, 0] = start
     left = left.copy()
     now, then = start.copy(), start.copy()
-    own = np.empty((n, rows, cols))  # what each UAV still finds at a cell: it knows its own path, not the others'
+    own = np.empty(
+        (n, rows, cols)
+    )  # what each UAV still finds at a cell: it knows its own path, not the others'
     distance = np.empty((n, rows, cols), dtype=np.int32)
     value = np.empty((n, rows, cols))
     queue = np.empty(rows * cols, dtype=np.int64)
     score = np.empty((n, 4))
     for u in range(n):
         own[u] = variance
-        _away_values(air.flyable, now[u, 0], now[u, 1], min(horizon, left[u]), own[u], distance[u], value[u], queue)
+        _away_values(
+            air.flyable,
+            now[u, 0],
+            now[u, 1],
+            min(horizon, left[u]),
+            own[u],
+            distance[u],
+            value[u],
+            queue,
+        )
     for step in range(horizon):
         for u in range(n):
             if left[u] <= 0:
@@ -115,7 +140,9 @@ def _greedy(start, left, horizon, variance, noise, margin, air):
                 if away or attempt == 1:
                     break
                 ahead = min(horizon - step, left[u])
-                _away_values(air.flyable, now[u, 0], now[u, 1], ahead, own[u], distance[u], value[u], queue)
+                _away_values(
+                    air.flyable, now[u, 0], now[u, 1], ahead, own[u], distance[u], value[u], queue
+                )
         if not resolve_step(now, score, left, margin, air, then):
             return paths, step
         for u in range(n):

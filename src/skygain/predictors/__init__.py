@@ -6,24 +6,28 @@ __all__ = ["PREDICTORS", "Belief", "Predictor", "create_predictor"]
 
 from typing import Any
 
+from skygain.ground.registry import Registry
 from skygain.predictors.base import Belief, Predictor
-from skygain.registry import Registry
 
 PREDICTORS: Registry[Predictor] = Registry("predictor")
-PREDICTORS.register("kriging", "skygain.predictors.kriging:KrigingPredictor")
-PREDICTORS.register("kriging-blind", "skygain.predictors.kriging:blind_kriging")
-PREDICTORS.register("kriging-quadratic", "skygain.predictors.kriging:quadratic_kriging")
-PREDICTORS.register("kriging-inferred", "skygain.predictors.kriging:inferred_kriging")
-PREDICTORS.register("local-kriging", "skygain.predictors.local_kriging:LocalKrigingPredictor")
-PREDICTORS.register("gids", "skygain.predictors.gids:GidsPredictor")
-PREDICTORS.register("thin-plate", "skygain.predictors.thin_plate:ThinPlatePredictor")
-PREDICTORS.register("idw", "skygain.predictors.idw:IdwPredictor")
-PREDICTORS.register("knn", "skygain.predictors.knn:KnnPredictor")
-PREDICTORS.register("operator", "skygain.predictors.operator:OperatorPredictor")
-PREDICTORS.register("paper-unet", "skygain.predictors.paper_unet:PaperUNetPredictor")
-PREDICTORS.register("paper-unet-mapblind", "skygain.predictors.paper_unet:map_blind_unet")
-PREDICTORS.register("unet", "skygain.predictors.unet:UNetPredictor")
-PREDICTORS.register("residual-kriging", "skygain.predictors.residual_kriging:ResidualKrigingPredictor")
+PREDICTORS.register("kriging", "skygain.predictors.kriging.known_source:KrigingPredictor")
+PREDICTORS.register("kriging-blind", "skygain.predictors.kriging.known_source:blind_kriging")
+PREDICTORS.register(
+    "kriging-quadratic", "skygain.predictors.kriging.known_source:quadratic_kriging"
+)
+PREDICTORS.register("kriging-inferred", "skygain.predictors.kriging.known_source:inferred_kriging")
+PREDICTORS.register("local-kriging", "skygain.predictors.kriging.local:LocalKrigingPredictor")
+PREDICTORS.register("gids", "skygain.predictors.interpolators.gids:GidsPredictor")
+PREDICTORS.register("thin-plate", "skygain.predictors.interpolators.thin_plate:ThinPlatePredictor")
+PREDICTORS.register("idw", "skygain.predictors.interpolators.idw:IdwPredictor")
+PREDICTORS.register("knn", "skygain.predictors.interpolators.knn:KnnPredictor")
+PREDICTORS.register("operator", "skygain.predictors.networks.operator:OperatorPredictor")
+PREDICTORS.register("paper-unet", "skygain.predictors.networks.paper_unet:PaperUNetPredictor")
+PREDICTORS.register("paper-unet-mapblind", "skygain.predictors.networks.paper_unet:map_blind_unet")
+PREDICTORS.register("unet", "skygain.predictors.networks.unet:UNetPredictor")
+PREDICTORS.register(
+    "residual-kriging", "skygain.predictors.kriging.residual:ResidualKrigingPredictor"
+)
 
 
 def create_predictor(name: str, **options: Any) -> Predictor:

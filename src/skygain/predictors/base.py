@@ -1,4 +1,5 @@
-"""The seam every predictor implements: begin a survey, take measurements in, say what is believed."""
+"""The seam every predictor implements: begin a survey, take measurements in, say what is
+believed."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from skygain.scenario import Scenario
 
 
 class Belief(ABC):
-    """The state of a predictor in one survey. Immutable: `updated` returns a new belief and the old one stays valid."""
+    """The state of a predictor in one survey. Immutable: `updated` returns a new belief and the old
+    one stays valid."""
 
     scenario: Scenario
     """what was known before the first measurement"""
@@ -26,17 +28,20 @@ class Belief(ABC):
 
     @abstractmethod
     def posterior(self) -> Posterior:
-        """Mean and variance of the gain at every cell, indoor cells included (there they mean nothing but are finite)."""
+        """Mean and variance of the gain at every cell, indoor cells included (there they mean
+        nothing but are finite)."""
 
 
 class Predictor(ABC):
-    """A method that predicts the gain everywhere from sparse measurements. Holds settings and weights, never a survey's state."""
+    """A method that predicts the gain everywhere from sparse measurements. Holds settings and
+    weights, never a survey's state."""
 
     interpolates: ClassVar[bool] = True
     """whether the mean equals an exact measurement at its cell, with no variance left there"""
 
     transmitter: Literal["required", "optional", "unused"] = "unused"
-    """whether the method needs to be told where the transmitter is, can make use of it, or never looks"""
+    """whether the method needs to be told where the transmitter is, can make use of it, or never
+    looks"""
 
     @abstractmethod
     def begin(self, scenario: Scenario) -> Belief:

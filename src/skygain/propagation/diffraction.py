@@ -1,16 +1,20 @@
-"""Over-rooftop diffraction: the gain of the path that climbs over the buildings, for every cell of the map.
+"""Over-rooftop diffraction: the gain of the path that climbs over the buildings, for every cell of
+the map.
 
-Rays with three reflections and one diffraction leave most of a city dark, while a real receiver there still hears what passes over
-the roofs. This module computes that term from the vertical profile between transmitter and cell, with the Bullington construction of
-Recommendation ITU-R P.526-15, section 4.5.1: all obstacles are replaced by one knife edge where the horizon rays of the two ends
-meet. With profile heights h_i at distance d_i of d (curved by the effective Earth radius), slopes S_tim and S_rim of those rays and
-the diffraction parameter ν of the edge, the loss beyond free space is
+Rays with three reflections and one diffraction leave most of a city dark, while a real receiver
+there still hears what passes over the roofs. This module computes that term from the vertical
+profile between transmitter and cell, with the Bullington construction of Recommendation ITU-R
+P.526-15, section 4.5.1: all obstacles are replaced by one knife edge where the horizon rays of the
+two ends meet. With profile heights h_i at distance d_i of d (curved by the effective Earth radius),
+slopes S_tim and S_rim of those rays and the diffraction parameter ν of the edge, the loss beyond
+free space is
 
     L_uc = J(ν),   J(ν) = 6.9 + 20 log10(sqrt((ν − 0.1)² + 1) + ν − 0.1) for ν > −0.78, else 0
     L_b  = L_uc + (1 − exp(−L_uc / 6)) (10 + 0.02 d),   d in kilometres
 
-and the gain is −(free-space loss + L_b), with the slant distance in the free-space loss. The profile is the city's height raster
-sampled at half a cell's spacing; outside the map the ground is empty.
+and the gain is −(free-space loss + L_b), with the slant distance in the free-space loss. The
+profile is the city's height raster sampled at half a cell's spacing; outside the map the ground is
+empty.
 """
 
 from __future__ import annotations
@@ -31,7 +35,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.city import City
-from skygain.propagation.base import check_altitudes, check_frequency, check_transmitters, wavelength_m
+from skygain.propagation.base import (
+    check_altitudes,
+    check_frequency,
+    check_transmitters,
+    wavelength_m,
+)
 
 EFFECTIVE_EARTH_RADIUS_M = 6_371_000.0 * 4 / 3
 """the usual 4/3 of the Earth's radius, for the median refraction of the atmosphere"""
@@ -47,8 +56,8 @@ def over_rooftop_gain_db(
 ) -> NDArray[np.float32]:
     """Gain in dB over the rooftops, ``[transmitter, altitude, row, col]``, finite everywhere.
 
-    Inside a building the value is that of a receiver at the altitude, as if the building at the cell itself were not there; it
-    means nothing.
+    Inside a building the value is that of a receiver at the altitude, as if the building at the
+    cell itself were not there; it means nothing.
 
     Args:
         city: the height raster.
@@ -83,12 +92,15 @@ def over_rooftop_gain_db(
 
 def free_space_gain_db(distance_m: ArrayLike, frequency_hz: float = 5e9) -> NDArray[np.float64]:
     """Friis between isotropic antennas: 20 log10(λ / (4 π d)), negative in the far field."""
-    return 20 * np.log10(wavelength_m(frequency_hz) / (4 * np.pi * np.asarray(distance_m, dtype=float)))
+    return 20 * np.log10(
+        wavelength_m(frequency_hz) / (4 * np.pi * np.asarray(distance_m, dtype=float))
+    )
 
 
 @numba.njit(cache=True)
 def knife_edge_loss_db(nu: float) -> float:
-    """J(ν): the loss of a single knife edge (P.526-15, equation 31), the usual approximation to the Fresnel integral."""
+    """J(ν): the loss of a single knife edge (P.526-15, equation 31), the usual approximation to the
+    Fresnel integral."""
     if nu <= -0.78:
         return 0.0
     return 6.9 + 20.0 * math.log10(math.sqrt((nu - 0.1) ** 2 + 1.0) + nu - 0.1)
@@ -106,7 +118,8 @@ def bullington_loss_db(
     """Bullington loss over free space of one profile (P.526-15, section 4.5.1).
 
     Args:
-        heights_m: ``[point]`` heights at equal steps strictly between the ends: point i lies at (i + 1) d / (points + 1).
+        heights_m: ``[point]`` heights at equal steps strictly between the ends: point i lies at (i
+            + 1) d / (points + 1).
         distance_m: horizontal distance d between the ends.
         transmitter_height_m: height of one antenna above the same zero as ``heights_m``.
         receiver_height_m: height of the other.
@@ -132,10 +145,20 @@ def bullington_loss_db(
         nu = max(nu, clearance * math.sqrt(2.0 * d / (wavelength_m * near * far)))
     if steepest_t >= line:
         # Beyond the horizon: one edge where the two horizon rays meet.
-        near = (receiver_height_m - transmitter_height_m + steepest_r * d) / (steepest_t + steepest_r)
+        near = (receiver_height_m - transmitter_height_m + steepest_r * d) / (
+            steepest_t + steepest_r
+        )
         far = d - near
-        clearance = transmitter_height_m + steepest_t * near - (transmitter_height_m * far + receiver_height_m * near) / d
-        nu = clearance * math.sqrt(2.0 * d / (wavelength_m * near * far)) if near > 0.0 and far > 0.0 else 0.0
+        clearance = (
+            transmitter_height_m
+            + steepest_t * near
+            - (transmitter_height_m * far + receiver_height_m * near) / d
+        )
+        nu = (
+            clearance * math.sqrt(2.0 * d / (wavelength_m * near * far))
+            if near > 0.0 and far > 0.0
+            else 0.0
+        )
     loss = knife_edge_loss_db(nu)
     return loss + (1.0 - math.exp(-loss / 6.0)) * (10.0 + 0.02 * d / 1000.0)
 
@@ -154,7 +177,13 @@ def _over_rooftop(
 ) -> None:
     rows, cols = height_m.shape
     longest = (
-        int(2.0 * math.hypot(rows + abs(transmitter_m[1] - y0_m) / spacing_m, cols + abs(transmitter_m[0] - x0_m) / spacing_m))
+        int(
+            2.0
+            * math.hypot(
+                rows + abs(transmitter_m[1] - y0_m) / spacing_m,
+                cols + abs(transmitter_m[0] - x0_m) / spacing_m,
+            )
+        )
         + 4
     )
     profile = np.empty(longest)
@@ -163,7 +192,8 @@ def _over_rooftop(
     tx_row = (transmitter_m[1] - y0_m) / spacing_m
     for row in range(rows):
         for col in range(cols):
-            # A roof below the receiver is an obstacle like any other; walls around a receiver indoors are left out.
+            # A roof below the receiver is an obstacle like any other; walls around a receiver
+            # indoors are left out.
             own = height_m[row, col] if height_m[row, col] < altitude_m else 0.0
             across = math.hypot(row - tx_row, col - tx_col)
             distance = across * spacing_m
@@ -177,6 +207,13 @@ def _over_rooftop(
                     profile[i] = own
                 else:
                     profile[i] = height_m[r, c] if inside else 0.0
-            loss = bullington_loss_db(profile[:points], distance, transmitter_m[2], altitude_m, wavelength_m, earth_radius_m)
+            loss = bullington_loss_db(
+                profile[:points],
+                distance,
+                transmitter_m[2],
+                altitude_m,
+                wavelength_m,
+                earth_radius_m,
+            )
             slant = max(math.hypot(distance, altitude_m - transmitter_m[2]), wavelength_m)
             gain_db[row, col] = 20.0 * math.log10(wavelength_m / (4.0 * math.pi * slant)) - loss

@@ -2,10 +2,11 @@
 
     gain(s) = α − β log10(d) + v(s),   v ~ N(0, φ exp(−|s − s'| / δ))
 
-with d the distance to the transmitter in three dimensions (Gudmundson, "Correlation model for shadow fading in mobile radio
-systems", 1991; the paper's Kriging kernel). The field v is drawn exactly, not approximately, by circulant embedding: the covariance
-is continued periodically on a larger torus, whose eigenvalues are one FFT away. An exponential covariance becomes a valid one on the
-torus if that is large enough against δ; the torus is enlarged until no eigenvalue is negative.
+with d the distance to the transmitter in three dimensions (Gudmundson, "Correlation model for
+shadow fading in mobile radio systems", 1991; the paper's Kriging kernel). The field v is drawn
+exactly, not approximately, by circulant embedding: the covariance is continued periodically on a
+larger torus, whose eigenvalues are one FFT away. An exponential covariance becomes a valid one on
+the torus if that is large enough against δ; the torus is enlarged until no eigenvalue is negative.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.city import City
-from skygain.errors import InputError
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 ALPHA_DB = 27.0
 BETA_DB_PER_DECADE = 72.0
@@ -54,28 +55,41 @@ def gudmundson_gain_db(
         delta_m: distance at which its correlation has fallen to 1/e.
 
     Raises:
-        InputError: a variance or correlation distance that is not positive, or a field that cannot be embedded.
+        InputError: a variance or correlation distance that is not positive, or a field that cannot
+            be embedded.
     """
     grid = where.grid if isinstance(where, City) else where
     x, y, z = np.asarray(transmitter_m, dtype=float)
     across2 = (grid.x_m[None, :] - x) ** 2 + (grid.y_m[:, None] - y) ** 2
     # Closer than a metre the logarithm is no model any more.
     distance = np.maximum(np.sqrt(across2 + (altitude_m - z) ** 2), 1.0)
-    return alpha_db - beta_db_per_decade * np.log10(distance) + shadowing_db(grid, rng, phi_db2=phi_db2, delta_m=delta_m)
+    return (
+        alpha_db
+        - beta_db_per_decade * np.log10(distance)
+        + shadowing_db(grid, rng, phi_db2=phi_db2, delta_m=delta_m)
+    )
 
 
 def shadowing_db(
     grid: Grid, rng: np.random.Generator, *, phi_db2: float = PHI_DB2, delta_m: float = DELTA_M
 ) -> NDArray[np.float64]:
-    """One Gaussian field ``[row, col]`` with mean 0 and covariance φ exp(−distance / δ) between cells.
+    """One Gaussian field ``[row, col]`` with mean 0 and covariance φ exp(−distance / δ) between
+    cells.
 
     Raises:
-        InputError: φ is negative, δ is not positive, or δ needs a torus of more than `LARGEST_TORUS` cells.
+        InputError: φ is negative, δ is not positive, or δ needs a torus of more than
+            `LARGEST_TORUS` cells.
     """
     if not (np.isfinite(phi_db2) and phi_db2 >= 0):
-        raise InputError(f"phi_db2 is a variance and must not be negative, got {phi_db2}; give dB², for example {PHI_DB2:g}")
+        raise InputError(
+            f"phi_db2 is a variance and must not be negative, got {phi_db2}; give dB², for example "
+            f"{PHI_DB2:g}"
+        )
     if not (np.isfinite(delta_m) and delta_m > 0):
-        raise InputError(f"delta_m is a distance and must be positive, got {delta_m}; give metres, for example {DELTA_M:g}")
+        raise InputError(
+            f"delta_m is a distance and must be positive, got {delta_m}; give metres, for example "
+            f"{DELTA_M:g}"
+        )
     eigenvalues = _torus_eigenvalues(grid, delta_m)
     # White complex noise filtered with the root of the spectrum: its real part is one exact draw.
     noise = rng.standard_normal((2, *eigenvalues.shape))
@@ -85,14 +99,20 @@ def shadowing_db(
 
 
 def _torus_eigenvalues(grid: Grid, delta_m: float) -> NDArray[np.float64]:
-    """Spectrum of the covariance on the smallest torus tried that is valid; its corner of the map's size is exact."""
+    """Spectrum of the covariance on the smallest torus tried that is valid; its corner of the map's
+    size is exact."""
     reach = 4.0
     while True:
-        # Twice the map, so that no two of its cells are nearer around the torus than across the map.
-        rows, cols = (scipy.fft.next_fast_len(max(2 * n, int(reach * delta_m / grid.spacing_m))) for n in grid.shape)
+        # Twice the map, so that no two of its cells are nearer around the torus than across the
+        # map.
+        rows, cols = (
+            scipy.fft.next_fast_len(max(2 * n, int(reach * delta_m / grid.spacing_m)))
+            for n in grid.shape
+        )
         if rows * cols > LARGEST_TORUS:
             raise InputError(
-                f"a correlation distance of {delta_m:g} m is too large for cells of {grid.spacing_m:g} m on a map of {grid.shape}; "
+                f"a correlation distance of {delta_m:g} m is too large for cells of "
+                f"{grid.spacing_m:g} m on a map of {grid.shape}; "
                 "choose a smaller one or larger cells"
             )
         dy = grid.spacing_m * np.minimum(np.arange(rows), rows - np.arange(rows))

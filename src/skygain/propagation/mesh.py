@@ -1,13 +1,22 @@
-"""Triangles for the ray tracer: prisms from building polygons, boxes from a height raster, and the ground beneath.
+"""Triangles for the ray tracer: prisms from building polygons, boxes from a height raster, and the
+ground beneath.
 
-All buildings of a city become one mesh. Within a building the vertices are shared and the triangles are wound outwards, because the
-ray tracer finds its diffracting edges as pairs of triangles that share one. Vertices are not shared between buildings, so that two
-buildings that touch keep their own edges.
+All buildings of a city become one mesh. Within a building the vertices are shared and the triangles
+are wound outwards, because the ray tracer finds its diffracting edges as pairs of triangles that
+share one. Vertices are not shared between buildings, so that two buildings that touch keep their
+own edges.
 """
 
 from __future__ import annotations
 
-__all__ = ["Mesh", "buildings_of_raster", "city_buildings", "clear_of_plane", "ground_mesh", "prism_mesh"]
+__all__ = [
+    "Mesh",
+    "buildings_of_raster",
+    "city_buildings",
+    "clear_of_plane",
+    "ground_mesh",
+    "prism_mesh",
+]
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -17,10 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.city import Building, City
-from skygain.errors import require
+from skygain.ground.errors import require
 
 SINK_M = 0.1
-"""how far the walls of a building on the ground go below it, so that no ray slips through the seam"""
+"""how far the walls of a building on the ground go below it, so that no ray slips through the
+seam"""
 
 
 @dataclass(frozen=True)
@@ -50,14 +60,19 @@ class Mesh:
 
 
 def city_buildings(city: City) -> tuple[Building, ...]:
-    """The city's polygons, or boxes made from its height raster when it has none (see `buildings_of_raster`)."""
+    """The city's polygons, or boxes made from its height raster when it has none (see
+    `buildings_of_raster`)."""
     return city.buildings or buildings_of_raster(city)
 
 
-def clear_of_plane(buildings: Iterable[Building], altitude_m: float, clearance_m: float) -> tuple[Building, ...]:
-    """The buildings with each horizontal edge nearer than ``clearance_m`` to the plane at ``altitude_m`` moved away to that distance.
+def clear_of_plane(
+    buildings: Iterable[Building], altitude_m: float, clearance_m: float
+) -> tuple[Building, ...]:
+    """The buildings with each horizontal edge nearer than ``clearance_m`` to the plane at
+    ``altitude_m`` moved away to that distance.
 
-    A roof that reaches the plane is raised and one below it is lowered, so that no cell changes between indoors and outdoors.
+    A roof that reaches the plane is raised and one below it is lowered, so that no cell changes
+    between indoors and outdoors.
     """
 
     def moved(z: float) -> float:
@@ -79,11 +94,16 @@ def ground_mesh(city: City, margin_m: float) -> Mesh:
 def prism_mesh(building: Building) -> Mesh:
     """Walls and roof of one building; an underside too if its base is above the ground.
 
-    A building on the ground has no floor (its lower edges must not diffract), and its walls end `SINK_M` below the ground.
-    An outline that crosses itself is repaired first; one without area gives an empty mesh.
+    A building on the ground has no floor (its lower edges must not diffract), and its walls end
+    `SINK_M` below the ground. An outline that crosses itself is repaired first; one without area
+    gives an empty mesh.
     """
     shapely = require("shapely", "raytrace")
-    outline = shapely.Polygon(building.footprint_m, building.holes_m) if len(building.footprint_m) >= 3 else shapely.Polygon()
+    outline = (
+        shapely.Polygon(building.footprint_m, building.holes_m)
+        if len(building.footprint_m) >= 3
+        else shapely.Polygon()
+    )
     if not outline.is_valid:
         outline = shapely.make_valid(outline)
     if building.height_m <= building.base_m:
@@ -100,12 +120,16 @@ def _extruded(polygon: Any, base_m: float, height_m: float) -> Mesh:
     count = len(plan)
     floating = base_m > 0
     bottom = base_m if floating else -SINK_M
-    vertices = np.concatenate([np.c_[plan, np.full(count, bottom)], np.c_[plan, np.full(count, height_m)]])
+    vertices = np.concatenate(
+        [np.c_[plan, np.full(count, bottom)], np.c_[plan, np.full(count, height_m)]]
+    )
 
     number = {(float(x), float(y)): i for i, (x, y) in enumerate(plan)}
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
     corners = [np.asarray(t.exterior.coords)[:3] for t in shapely.orient_polygons(triangles)]
-    roof = np.array([[number[float(x), float(y)] for x, y in c] for c in corners], dtype=np.int64).reshape(-1, 3)
+    roof = np.array(
+        [[number[float(x), float(y)] for x, y in c] for c in corners], dtype=np.int64
+    ).reshape(-1, 3)
 
     walls, first = [], 0
     for ring in rings:
@@ -120,11 +144,13 @@ def _extruded(polygon: Any, base_m: float, height_m: float) -> Mesh:
 
 
 def buildings_of_raster(city: City, step_m: float = 0.5) -> tuple[Building, ...]:
-    """Boxes that reproduce a height raster: neighbouring cells of equal height are merged into rectangles.
+    """Boxes that reproduce a height raster: neighbouring cells of equal height are merged into
+    rectangles.
 
-    Heights are rounded to ``step_m`` first, so that the noise of a measured raster does not become a forest of towers; what
-    rounds to 0 is ground. Rectangles are grown east, then north, from the south-west corner of what is left: not the smallest
-    number of boxes, but a good one, and always the same.
+    Heights are rounded to ``step_m`` first, so that the noise of a measured raster does not become
+    a forest of towers; what rounds to 0 is ground. Rectangles are grown east, then north, from the
+    south-west corner of what is left: not the smallest number of boxes, but a good one, and always
+    the same.
     """
     level = np.rint(city.height_m / step_m).astype(np.int64)
     left = level > 0
@@ -141,5 +167,7 @@ def buildings_of_raster(city: City, step_m: float = 0.5) -> tuple[Building, ...]
         left[row : row + depth, col : col + width] = False
         x0, y0 = city.grid.xy_m((row, col)) - half
         x1, y1 = city.grid.xy_m((row + depth - 1, col + width - 1)) + half
-        boxes.append(Building(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), float(here * step_m)))
+        boxes.append(
+            Building(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), float(here * step_m))
+        )
     return tuple(boxes)

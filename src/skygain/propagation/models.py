@@ -1,8 +1,9 @@
 """The propagation models behind one signature, for `skygain.propagation.PROPAGATION`.
 
-Each takes ``(city, transmitters_m, altitudes_m, *, frequency_hz, seed)`` and returns the gain in dB,
-``[transmitter, altitude, row, col]``; the two that trace rays also take the number of ``samples``. Whoever needs more than the gain
-(which cells a ray reached, what the guard cut) calls the model's own module.
+Each takes ``(city, transmitters_m, altitudes_m, *, frequency_hz, seed)`` and returns the gain in
+dB, ``[transmitter, altitude, row, col]``; the two that trace rays also take the number of
+``samples``. Whoever needs more than the gain (which cells a ray reached, what the guard cut) calls
+the model's own module.
 """
 
 from __future__ import annotations
@@ -30,13 +31,21 @@ def raytrace(
     from skygain.propagation.sionna import DEFAULT_SAMPLES, trace_gain_db
 
     rays = DEFAULT_SAMPLES if samples is None else samples
-    return trace_gain_db(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays).gain_db
+    return trace_gain_db(
+        city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays
+    ).gain_db
 
 
 def over_rooftop(
-    city: City, transmitters_m: ArrayLike, altitudes_m: Sequence[float], *, frequency_hz: float = 5e9, seed: int = 0
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
 ) -> NDArray[np.float32]:
-    """Diffraction over the rooftops (`skygain.propagation.diffraction`); deterministic, whatever the seed."""
+    """Diffraction over the rooftops (`skygain.propagation.diffraction`); deterministic, whatever
+    the seed."""
     from skygain.propagation.diffraction import over_rooftop_gain_db
 
     return over_rooftop_gain_db(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz)
@@ -56,16 +65,23 @@ def union(
     from skygain.propagation.truth import trace_truth
 
     rays = DEFAULT_SAMPLES if samples is None else samples
-    return trace_truth(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays).gain_db
+    return trace_truth(
+        city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=rays
+    ).gain_db
 
 
 def gudmundson(
-    city: City, transmitters_m: ArrayLike, altitudes_m: Sequence[float], *, frequency_hz: float = 5e9, seed: int = 0
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
 ) -> NDArray[np.float32]:
     """Log-distance mean plus correlated log-normal shadowing (`skygain.propagation.gudmundson`).
 
-    The mean is fitted to 5 GHz and moved to other frequencies as free space is. Shadowing is drawn anew for each transmitter and
-    altitude.
+    The mean is fitted to 5 GHz and moved to other frequencies as free space is. Shadowing is drawn
+    anew for each transmitter and altitude.
     """
     from skygain.propagation.base import check_altitudes, check_frequency, check_transmitters
     from skygain.propagation.gudmundson import gudmundson_gain_db
@@ -73,5 +89,8 @@ def gudmundson(
     shift_db = -20 * np.log10(check_frequency(frequency_hz) / 5e9)
     rng = np.random.default_rng(seed)
     transmitters, altitudes = check_transmitters(city, transmitters_m), check_altitudes(altitudes_m)
-    maps = [[gudmundson_gain_db(city.grid, tx, float(h), rng) + shift_db for h in altitudes] for tx in transmitters]
+    maps = [
+        [gudmundson_gain_db(city.grid, tx, float(h), rng) + shift_db for h in altitudes]
+        for tx in transmitters
+    ]
     return np.array(maps, dtype=np.float32)

@@ -1,7 +1,9 @@
-"""Small scenes with a known answer, to prove that the installed ray tracer works and computes diffraction rightly.
+"""Small scenes with a known answer, to prove that the installed ray tracer works and computes
+diffraction rightly.
 
-`skygain doctor` runs them. The answers come from the theory, not from an earlier run of ours: Friis' equation where there is a line
-of sight, and half the reflected field on the boundary where a wall's reflection ends (uniform theory of diffraction).
+`skygain doctor` runs them. The answers come from the theory, not from an earlier run of ours:
+Friis' equation where there is a line of sight, and half the reflected field on the boundary where a
+wall's reflection ends (uniform theory of diffraction).
 """
 
 from __future__ import annotations
@@ -27,9 +29,11 @@ class TwoBoxes:
     seconds: float
     """wall time, with compiling"""
     line_of_sight_error_db: float
-    """median absolute difference from Friis of the cells in sight, when only the direct path is traced"""
+    """median absolute difference from Friis of the cells in sight, when only the direct path is
+    traced"""
     shadow_db: float
-    """median gain relative to free space of the cells that only reflected or diffracted rays reached; negative"""
+    """median gain relative to free space of the cells that only reflected or diffracted rays
+    reached; negative"""
     reached: float
     """fraction of the outdoor cells that a ray reached"""
 
@@ -39,17 +43,24 @@ def two_box_city() -> City:
     grid = Grid(shape=(30, 30), spacing_m=4.0, origin_m=(2.0, 2.0))
     boxes, height = [], np.zeros(grid.shape, dtype=np.float32)
     for west in (20.0, 80.0):
-        boxes.append(Building(np.array([[west, 40.0], [west + 20, 40.0], [west + 20, 80.0], [west, 80.0]]), 25.0))
+        boxes.append(
+            Building(
+                np.array([[west, 40.0], [west + 20, 40.0], [west + 20, 80.0], [west, 80.0]]), 25.0
+            )
+        )
         height[10:20, int(west / 4) : int(west / 4) + 5] = 25.0
     return City(grid=grid, height_m=height, buildings=tuple(boxes), name="two boxes")
 
 
 def trace_two_boxes(samples: int = 300_000) -> TwoBoxes:
-    """Trace the two-box scene from a transmitter between the boxes and compare with what must come out."""
+    """Trace the two-box scene from a transmitter between the boxes and compare with what must come
+    out."""
     started = time.perf_counter()
     city = two_box_city()
     transmitter, altitude = (60.0, 60.0, 1.5), 10.0
-    direct = trace_gain_db(city, transmitter, [altitude], samples=samples, max_reflections=0, diffraction=False)
+    direct = trace_gain_db(
+        city, transmitter, [altitude], samples=samples, max_reflections=0, diffraction=False
+    )
     full = trace_gain_db(city, transmitter, [altitude], samples=samples)
     y, x = np.meshgrid(city.grid.y_m, city.grid.x_m, indexing="ij")
     friis = free_space_gain_db(np.sqrt((x - 60.0) ** 2 + (y - 60.0) ** 2 + (altitude - 1.5) ** 2))
@@ -65,11 +76,13 @@ def trace_two_boxes(samples: int = 300_000) -> TwoBoxes:
 
 
 def reflection_boundary_db() -> tuple[float, float]:
-    """Diffracted gain on a reflection's shadow boundary, relative to free space: (traced, expected), both in dB.
+    """Diffracted gain on a reflection's shadow boundary, relative to free space: (traced,
+    expected), both in dB.
 
-    A wall of concrete ends in a vertical edge. Where its reflection ends, the diffracted field is half the reflected one, so the
-    expected value is 20 log10(|R| / 2) with the Fresnel coefficient R of the polarisation along the edge. Releases of Sionna RT
-    with the wrong wavelength in that coefficient trace about 20 dB less.
+    A wall of concrete ends in a vertical edge. Where its reflection ends, the diffracted field is
+    half the reflected one, so the expected value is 20 log10(|R| / 2) with the Fresnel coefficient
+    R of the polarisation along the edge. Releases of Sionna RT with the wrong wavelength in that
+    coefficient trace about 20 dB less.
     """
     rt = load_backend()
     import mitsuba
@@ -78,11 +91,19 @@ def reflection_boundary_db() -> tuple[float, float]:
     corner = np.array([[0.0, -40.0], [40.0, -40.0], [40.0, 0.0], [0.0, 0.0]])
     scene = rt.load_scene()
     scene.frequency = frequency_hz
-    scene.tx_array = scene.rx_array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
+    scene.tx_array = scene.rx_array = rt.PlanarArray(
+        num_rows=1, num_cols=1, pattern="iso", polarization="V"
+    )
     # So tall that only the vertical edge matters.
-    scene.add(scene_object(rt, prism_mesh(Building(corner, 400.0)), "wall", np.array([0.0, 0.0, 200.0]), 0.3))
+    scene.add(
+        scene_object(
+            rt, prism_mesh(Building(corner, 400.0)), "wall", np.array([0.0, 0.0, 200.0]), 0.3
+        )
+    )
     along, away = distance_m * np.sqrt(1 - cos_incidence**2), distance_m * cos_incidence
-    scene.add(rt.Transmitter("transmitter", position=mitsuba.Point3f(float(along), float(away), 0.0)))
+    scene.add(
+        rt.Transmitter("transmitter", position=mitsuba.Point3f(float(along), float(away), 0.0))
+    )
     scene.add(rt.Receiver("receiver", position=mitsuba.Point3f(float(-along), float(away), 0.0)))
     paths = rt.PathSolver()(
         scene,
@@ -95,7 +116,9 @@ def reflection_boundary_db() -> tuple[float, float]:
         seed=1,
     )
     real, imaginary = (part.numpy() for part in paths.a)
-    traced = 10 * np.log10((real**2 + imaginary**2).sum()) - free_space_gain_db(2 * distance_m, frequency_hz)
+    traced = 10 * np.log10((real**2 + imaginary**2).sum()) - free_space_gain_db(
+        2 * distance_m, frequency_hz
+    )
 
     ghz = frequency_hz / 1e9
     permittivity = 5.24 - 1j * 17.98 * 0.0462 * ghz**0.7822 / ghz  # concrete of ITU-R P.2040

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from skygain.testing.planners import check_planner
     from skygain.testing.predictors import check_predictor
 
-_HOME = {"check_instrument": "instruments", "check_planner": "planners", "check_predictor": "predictors"}
+_HOME = {
+    "check_instrument": "instruments",
+    "check_planner": "planners",
+    "check_predictor": "predictors",
+}
 
 
 def __getattr__(name: str) -> Any:

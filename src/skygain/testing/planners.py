@@ -1,4 +1,5 @@
-"""Is this planner one? The contract of `skygain.planners.base.Planner`, as a check anyone can run on their own planner."""
+"""Is this planner one? The contract of `skygain.planners.base.Planner`, as a check anyone can run
+on their own planner."""
 
 from __future__ import annotations
 
@@ -11,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skygain.city import City
+from skygain.flight.starts import start_cells
+from skygain.flight.swarm import FlightRules, Swarm
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.planners.base import Plan, Planner
 from skygain.predictors.base import Belief, Predictor
 from skygain.scenario import Scenario
-from skygain.starts import start_cells
-from skygain.swarm import FlightRules, Swarm
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,14 @@ class PlannerScenario:
     """how the UAVs are placed"""
 
 
-def _scenario(flyable: ArrayLike, spacing_m: float = 4.0, no_fly: ArrayLike | None = None) -> Scenario:
+def _scenario(
+    flyable: ArrayLike, spacing_m: float = 4.0, no_fly: ArrayLike | None = None
+) -> Scenario:
     free = np.asarray(flyable, dtype=bool)
     city = City(Grid(free.shape, spacing_m), np.where(free, 0.0, 30.0).astype(np.float32))  # type: ignore[arg-type]
-    return Scenario(city, no_fly=None if no_fly is None else np.asarray(no_fly, dtype=bool), transmitter_m=None)
+    return Scenario(
+        city, no_fly=None if no_fly is None else np.asarray(no_fly, dtype=bool), transmitter_m=None
+    )
 
 
 def _blocks(size: int, block: int, street: int) -> np.ndarray:
@@ -50,7 +55,8 @@ def _blocks(size: int, block: int, street: int) -> np.ndarray:
 
 
 def planner_scenarios() -> list[PlannerScenario]:
-    """Small settings from an open field to a one-cell corridor; small enough that a whole survey takes a moment."""
+    """Small settings from an open field to a one-cell corridor; small enough that a whole survey
+    takes a moment."""
     open_field = _scenario(np.ones((16, 20)))
     streets = _scenario(_blocks(24, 5, 2))
     corridor = np.zeros((5, 22))
@@ -67,9 +73,20 @@ def planner_scenarios() -> list[PlannerScenario]:
         PlannerScenario("open field, three UAVs", open_field, 3, 60, FlightRules()),
         PlannerScenario("streets, five UAVs spread", streets, 5, 50, FlightRules(), "spread"),
         PlannerScenario("streets, batteries of 0, 7 and 40", streets, 3, (0, 7, 40), FlightRules()),
-        PlannerScenario("one-cell corridor, three UAVs", _scenario(corridor), 3, 30, FlightRules(), "spread"),
-        PlannerScenario("no-fly zone, 12 m apart", _scenario(np.ones((18, 18)), no_fly=forbidden), 3, 40, _apart(12.0), "spread"),
-        PlannerScenario("streets, everyone returns", streets, 3, (30, 31, 44), FlightRules(return_to_start=True)),
+        PlannerScenario(
+            "one-cell corridor, three UAVs", _scenario(corridor), 3, 30, FlightRules(), "spread"
+        ),
+        PlannerScenario(
+            "no-fly zone, 12 m apart",
+            _scenario(np.ones((18, 18)), no_fly=forbidden),
+            3,
+            40,
+            _apart(12.0),
+            "spread",
+        ),
+        PlannerScenario(
+            "streets, everyone returns", streets, 3, (30, 31, 44), FlightRules(return_to_start=True)
+        ),
         PlannerScenario("maze, two UAVs", _scenario(maze), 2, 50, FlightRules()),
         PlannerScenario("shared cells allowed", streets, 3, 30, FlightRules(separate=False)),
         PlannerScenario("no move at all", _scenario(alone), 1, 5, FlightRules()),
@@ -103,7 +120,9 @@ def fly(
         for step in range(1, plan.commit_steps + 1):
             flying = swarm.flying
             swarm = swarm.advanced(plan.paths[:, step])
-            belief = belief.updated(Measurements.at(swarm.cells[flying], gain_db(swarm.cells[flying])))
+            belief = belief.updated(
+                Measurements.at(swarm.cells[flying], gain_db(swarm.cells[flying]))
+            )
         horizon -= plan.commit_steps
 
 
@@ -114,10 +133,15 @@ def _smooth_gain(cells: np.ndarray) -> np.ndarray:
 def _start(setting: PlannerScenario, rng: np.random.Generator) -> np.ndarray:
     for _ in range(200):
         cells = start_cells(setting.start, setting.scenario, setting.n_uavs, rng)
-        gaps = np.hypot(*(cells[:, None] - cells[None]).T)[np.triu_indices(setting.n_uavs, 1)] * setting.scenario.grid.spacing_m
+        gaps = (
+            np.hypot(*(cells[:, None] - cells[None]).T)[np.triu_indices(setting.n_uavs, 1)]
+            * setting.scenario.grid.spacing_m
+        )
         if (gaps >= setting.rules.min_distance_m).all():
             return cells
-    raise AssertionError(f"{setting.name}: no start respects the distance of {setting.rules.min_distance_m} m")
+    raise AssertionError(
+        f"{setting.name}: no start respects the distance of {setting.rules.min_distance_m} m"
+    )
 
 
 def check_planner(
@@ -128,11 +152,13 @@ def check_planner(
     seed: int = 0,
     max_uavs: int | None = None,
 ) -> None:
-    """Raise `AssertionError` unless ``planner`` keeps its contract with the beliefs of ``predictor``.
+    """Raise `AssertionError` unless ``planner`` keeps its contract with the beliefs of
+    ``predictor``.
 
-    Over whole surveys in `planner_scenarios` (or ``settings``): plans are legal, begin where the UAVs stand, hold 1 to horizon
-    steps and commit to a number of them; the same arguments give the same plan; the arguments stay as they were; a horizon of 1
-    is obeyed; a certificate's bound is not below its value. Settings with more than ``max_uavs`` UAVs are left out.
+    Over whole surveys in `planner_scenarios` (or ``settings``): plans are legal, begin where the
+    UAVs stand, hold 1 to horizon steps and commit to a number of them; the same arguments give the
+    same plan; the arguments stay as they were; a horizon of 1 is obeyed; a certificate's bound is
+    not below its value. Settings with more than ``max_uavs`` UAVs are left out.
     """
     for setting in settings if settings is not None else planner_scenarios():
         if max_uavs is not None and setting.n_uavs > max_uavs:
@@ -141,21 +167,36 @@ def check_planner(
             _check_plan(setting.name, swarm, horizon, plan)
             if swarm.steps_flown == 0:
                 _check_pure(setting.name, planner, swarm, belief, horizon)
-                _check_plan(setting.name, swarm, 1, planner.plan(swarm, belief, 1, np.random.default_rng(seed)))
+                _check_plan(
+                    setting.name,
+                    swarm,
+                    1,
+                    planner.plan(swarm, belief, 1, np.random.default_rng(seed)),
+                )
 
 
 def _check_plan(where: str, swarm: Swarm, horizon: int, plan: Plan) -> None:
     paths = np.asarray(plan.paths)
-    assert np.issubdtype(paths.dtype, np.integer), f"{where}: paths must be integers, got {paths.dtype}"
-    assert 1 <= plan.n_steps <= horizon, f"{where}: a plan holds 1 to {horizon} steps, got {plan.n_steps}"
-    assert 1 <= plan.commit_steps <= plan.n_steps, f"{where}: commit_steps must lie in 1..{plan.n_steps}, got {plan.commit_steps}"
+    assert np.issubdtype(paths.dtype, np.integer), (
+        f"{where}: paths must be integers, got {paths.dtype}"
+    )
+    assert 1 <= plan.n_steps <= horizon, (
+        f"{where}: a plan holds 1 to {horizon} steps, got {plan.n_steps}"
+    )
+    assert 1 <= plan.commit_steps <= plan.n_steps, (
+        f"{where}: commit_steps must lie in 1..{plan.n_steps}, got {plan.commit_steps}"
+    )
     try:
         swarm.check(paths)
     except ValueError as error:
-        raise AssertionError(f"{where}: illegal plan after {swarm.steps_flown} steps: {error}") from error
+        raise AssertionError(
+            f"{where}: illegal plan after {swarm.steps_flown} steps: {error}"
+        ) from error
     if plan.certificate is not None:
         value, bound = plan.certificate.value_nats, plan.certificate.upper_bound_nats
-        assert np.isfinite([value, bound]).all(), f"{where}: the certificate holds {value} and {bound}; both must be finite"
+        assert np.isfinite([value, bound]).all(), (
+            f"{where}: the certificate holds {value} and {bound}; both must be finite"
+        )
         assert bound >= value - 1e-9 * max(1.0, abs(value)), (
             f"{where}: the certificate's bound {bound} is below its value {value}"
         )
@@ -166,11 +207,22 @@ def _check_pure(where: str, planner: Planner, swarm: Swarm, belief: Belief, hori
     variance, measured = np.array(belief.posterior().variance_db2), len(belief.measurements)
     first = planner.plan(swarm, belief, horizon, np.random.default_rng(7))
     again = planner.plan(replace(swarm), belief, horizon, np.random.default_rng(7))
-    assert np.array_equal(first.paths, again.paths), f"{where}: the same seed gave two different plans"
-    assert first.commit_steps == again.commit_steps, f"{where}: the same seed gave two values of commit_steps"
+    assert np.array_equal(first.paths, again.paths), (
+        f"{where}: the same seed gave two different plans"
+    )
+    assert first.commit_steps == again.commit_steps, (
+        f"{where}: the same seed gave two values of commit_steps"
+    )
     for name, old, new in zip(
-        ("flyable", "history", "steps_left"), before, (swarm.flyable, swarm.history, swarm.steps_left), strict=True
+        ("flyable", "history", "steps_left"),
+        before,
+        (swarm.flyable, swarm.history, swarm.steps_left),
+        strict=True,
     ):
         assert np.array_equal(old, new), f"{where}: planning changed swarm.{name}"
-    assert len(belief.measurements) == measured, f"{where}: planning changed the belief's measurements"
-    assert np.array_equal(variance, belief.posterior().variance_db2), f"{where}: planning changed the belief's variance"
+    assert len(belief.measurements) == measured, (
+        f"{where}: planning changed the belief's measurements"
+    )
+    assert np.array_equal(variance, belief.posterior().variance_db2), (
+        f"{where}: planning changed the belief's variance"
+    )

@@ -1,0 +1,246 @@
+"""Ray-traced links as plain arrays, and the random views of them that networks are trained on.
+
+A network sees thousands of crops a minute. Going through the data set's labels for each would cost
+more than the crop itself, so one split is read once into dense arrays, and a `View` (which link,
+which altitude, which window, which of the eight symmetries of the square) is drawn from a generator
+and cut out of them.
+"""
+
+from __future__ import annotations
+
+__all__ = ["Links", "View", "load_links", "read_links", "several_paths"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.ground.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One training sample: a window of one link's map, possibly turned and mirrored."""
+
+    height_m: NDArray[np.float32]
+    """``[row, col]`` building heights of the window"""
+    gain_db: NDArray[np.float32]
+    """``[row, col]`` truth, finite everywhere"""
+    outdoor: NDArray[np.bool_]
+    """``[row, col]`` cells where the truth counts"""
+    ray_traced: NDArray[np.bool_]
+    """``[row, col]`` cells a ray reached"""
+    transmitter: tuple[float, float, float]
+    """(row, col, z): fractional cell in the window's frame (it may lie outside) and metres above
+    the street"""
+    altitude_m: float
+    """altitude of the map"""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """One split of a data set."""
+
+    height_m: NDArray[np.float32]
+    """``[city, row, col]``"""
+    city: NDArray[np.int64]
+    """``[link]`` index along the first axis of `height_m`"""
+    transmitter: NDArray[np.float64]
+    """``[link, (row, col, z)]`` fractional cells, metres"""
+    gain_db: NDArray[np.float16]
+    """``[link, altitude, row, col]`` NaN where an altitude was not computed"""
+    ray_traced: NDArray[np.bool_]
+    """``[link, altitude, row, col]``"""
+    altitude_m: NDArray[np.float64]
+    """``[altitude]``"""
+    available: NDArray[np.bool_]
+    """``[link, altitude]`` whether the altitude was computed"""
+    spacing_m: float
+    """side of a cell"""
+
+    def __len__(self) -> int:
+        return len(self.city)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        side: int,
+        weights: NDArray[np.float64] | None = None,
+        augment: bool = True,
+    ) -> View:
+        """A random window of ``side`` cells: first the altitude is drawn, then a link that has it,
+        then the window.
+
+        ``weights[altitude]`` are relative odds (default: equal); an altitude that no link has is
+        never drawn. Turns and mirror images only with ``augment``.
+
+        Raises:
+            InputError: no link has any of the altitudes wanted.
+        """
+        odds = (
+            np.ones(len(self.altitude_m)) if weights is None else np.asarray(weights, dtype=float)
+        )
+        odds = np.where(self.available.any(axis=0), odds, 0.0)
+        if not odds.sum() > 0:
+            held = ", ".join(f"{a:g}" for a in self.altitude_m[self.available.any(axis=0)])
+            raise InputError(
+                f"no link has an altitude of those wanted; the data set has maps at {held} m"
+            )
+        altitude = int(rng.choice(len(odds), p=odds / odds.sum()))
+        having = np.flatnonzero(self.available[:, altitude])
+        link = int(having[rng.integers(len(having))])
+        row, col = self.corner(rng, side)
+        return self.view(link, altitude, row, col, side, int(rng.integers(8)) if augment else 0)
+
+    def corner(self, rng: np.random.Generator, side: int) -> tuple[int, int]:
+        """First cell (row, col) of a window of ``side`` cells drawn at random.
+
+        Raises:
+            InputError: the maps are smaller than the window.
+        """
+        rows, cols = self.height_m.shape[1:]
+        if min(rows, cols) < side:
+            raise InputError(
+                f"the data set's maps have {rows} × {cols} cells; training needs windows of {side} "
+                f"× {side}"
+            )
+        return int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
+
+    def view(
+        self, link: int, altitude: int, row: int, col: int, side: int, symmetry: int = 0
+    ) -> View:
+        """The window of ``side`` cells whose first cell is (row, col).
+
+        ``symmetry`` 0..7 is a set of bits: 1 mirrors the rows, 2 mirrors the columns, 4 swaps rows
+        and columns afterwards.
+        """
+        window = (slice(row, row + side), slice(col, col + side))
+        tx_row, tx_col = self.transmitter[link, :2] - (row, col)
+        if symmetry & 1:
+            tx_row = side - 1 - tx_row
+        if symmetry & 2:
+            tx_col = side - 1 - tx_col
+        if symmetry & 4:
+            tx_row, tx_col = tx_col, tx_row
+
+        def cut(map_: NDArray) -> NDArray:
+            part = map_[window][:: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+            return np.ascontiguousarray(part.T if symmetry & 4 else part)
+
+        height = cut(self.height_m[self.city[link]])
+        gain = cut(self.gain_db[link, altitude]).astype(np.float32)
+        altitude_m = float(self.altitude_m[altitude])
+        outdoor = (height < altitude_m) & np.isfinite(gain)
+        gain[~outdoor] = 0.0
+        return View(
+            height_m=height,
+            gain_db=gain,
+            outdoor=outdoor,
+            ray_traced=cut(self.ray_traced[link, altitude]),
+            transmitter=(float(tx_row), float(tx_col), float(self.transmitter[link, 2])),
+            altitude_m=altitude_m,
+        )
+
+
+def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
+    """Read one split (``T1`` … ``T4``) of a data set stored as Zarr (a folder or a ``.zip``), or of
+    several together.
+
+    Raises:
+        InputError: a file is missing or is no data set, none has a city of that split, or their
+            maps differ in size.
+    """
+    several = several_paths(paths)
+    found = [read_links(path, split) for path in several]
+    links = [part for part in found if part is not None]
+    if not links:
+        raise InputError(
+            f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: T1, "
+            "T2, T3, T4"
+        )
+    return links[0] if len(links) == 1 else _together(links)
+
+
+def several_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """One data set or several, as a list."""
+    return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+
+
+def read_links(path: Path, split: str) -> Links | None:
+    """One data set's links, None if it has none of that split; see `load_links`."""
+    import xarray as xr
+    import zarr
+
+    if not path.exists():
+        raise InputError(
+            f"no data set at {path}; give the path of a .zarr or .zarr.zip data set (see `skygain "
+            "data`)"
+        )
+    try:
+        store = (
+            zarr.storage.ZipStore(path, mode="r")
+            if path.suffix == ".zip"
+            else zarr.storage.LocalStore(path)
+        )
+        data = xr.open_zarr(store, consolidated=False)
+        cities = np.flatnonzero(data["split"].values.astype(str) == split)
+        city_index = data["city_index"].values.astype(np.int64)
+    except (KeyError, OSError, ValueError, BadZipFile) as error:
+        raise InputError(
+            f"{path} is not a Skygain data set ({error}); expected split, city_index, gain_db and "
+            "others"
+        ) from error
+    kept = np.flatnonzero(np.isin(city_index, cities))
+    if not len(kept):
+        return None
+    gain = data["gain_db"].isel(link=kept).values.astype(np.float16)
+    x, y = data["x"].values.astype(float), data["y"].values.astype(float)
+    spacing = float(x[1] - x[0])
+    tx = data["tx_m"].isel(link=kept).values.astype(float)
+    return Links(
+        height_m=data["height_m"].isel(city=cities).values.astype(np.float32),
+        city=np.searchsorted(cities, city_index[kept]),
+        transmitter=np.stack(
+            [(tx[:, 1] - y[0]) / spacing, (tx[:, 0] - x[0]) / spacing, tx[:, 2]], axis=-1
+        ),
+        gain_db=gain,
+        ray_traced=data["ray_traced"].isel(link=kept).values.astype(bool),
+        altitude_m=data["altitude"].values.astype(float),
+        available=np.isfinite(gain).any(axis=(2, 3)),
+        spacing_m=spacing,
+    )
+
+
+def _together(parts: list[Links]) -> Links:
+    first = parts[0]
+    for part in parts[1:]:
+        if part.height_m.shape[1:] != first.height_m.shape[1:] or part.spacing_m != first.spacing_m:
+            raise InputError(
+                "data sets to be used together must have maps of one size; these have "
+                f"{first.height_m.shape[1:]} cells of "
+                f"{first.spacing_m:g} m and {part.height_m.shape[1:]} cells of {part.spacing_m:g} m"
+            )
+    altitudes = np.unique(np.concatenate([part.altitude_m for part in parts]))
+    shape = (sum(map(len, parts)), len(altitudes), *first.height_m.shape[1:])
+    gain, ray_traced = np.full(shape, np.nan, np.float16), np.zeros(shape, bool)
+    available, start = np.zeros(shape[:2], bool), 0
+    for part in parts:
+        at = np.ix_(
+            np.arange(start, start + len(part)), np.searchsorted(altitudes, part.altitude_m)
+        )
+        gain[at], ray_traced[at], available[at] = part.gain_db, part.ray_traced, part.available
+        start += len(part)
+    before = np.cumsum([0, *(len(part.height_m) for part in parts[:-1])])
+    return Links(
+        height_m=np.concatenate([part.height_m for part in parts]),
+        city=np.concatenate([part.city + n for part, n in zip(parts, before, strict=True)]),
+        transmitter=np.concatenate([part.transmitter for part in parts]),
+        gain_db=gain,
+        ray_traced=ray_traced,
+        altitude_m=altitudes,
+        available=available,
+        spacing_m=first.spacing_m,
+    )

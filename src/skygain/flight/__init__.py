@@ -1,0 +1,1 @@
+"""Where UAVs may be: the swarm, its starts and the rules of the air."""

@@ -1,0 +1,37 @@
+"""One exception for everything a user can put right.
+
+Anything that enters Skygain from outside (a file, a command line option, an argument of a public
+function) and cannot be used raises `InputError`. Its text is a single line that says what was
+expected, what came, and what to do. The command line prints that line and exits with code 2; any
+other exception is a bug of ours and shows its traceback.
+"""
+
+from __future__ import annotations
+
+__all__ = ["InputError", "MissingExtraError", "require"]
+
+import importlib
+from types import ModuleType
+
+
+class InputError(ValueError):
+    """Input that cannot be used; the message names the remedy."""
+
+
+class MissingExtraError(InputError, ImportError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
+
+
+def require(module: str, extra: str) -> ModuleType:
+    """Import an optional ``module``, or say which extra of Skygain installs it.
+
+    Raises:
+        MissingExtraError: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f"this needs the package {module.split('.')[0]!r}, which is not installed ({error}); "
+            f"install it with: pip install 'skygain[{extra}]'"
+        ) from error

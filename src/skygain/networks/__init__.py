@@ -1,0 +1,1 @@
+"""What a trained network is: its inputs, its definition, its weights."""

@@ -1,0 +1,35 @@
+"""The locator network: evidence maps of `transmitter_evidence` → log probability of every square to
+hold the transmitter."""
+
+from __future__ import annotations
+
+__all__ = ["LocatorNet"]
+
+import torch
+from torch import Tensor, nn
+
+from skygain.networks.operator.evidence import CHANNELS, TEMPERED
+from skygain.networks.operator.network import OperatorConfig, ResidualUNet
+
+OPEN = CHANNELS.index("open")
+SIZES = OperatorConfig(stem=24, widths=(40, 64, 96), blocks=(1, 1, 2))
+
+
+class LocatorNet(ResidualUNet):
+    """``[batch, channel, row, col]`` → log probability ``[batch, row * col]``, minus infinity where
+    nothing can stand.
+
+    The network corrects the tempered likelihood it is given and starts from it.
+    """
+
+    def __init__(self, config: OperatorConfig = SIZES) -> None:
+        super().__init__(len(CHANNELS), config)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
+        self.power = nn.Parameter(torch.tensor(5.0))
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        logits = self.power * inputs[:, TEMPERED].float() + 5.0 * self.body(inputs)[:, 0]
+        return torch.log_softmax(
+            logits.masked_fill(inputs[:, OPEN] <= 0, -torch.inf).flatten(1), dim=1
+        )

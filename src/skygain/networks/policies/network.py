@@ -1,0 +1,170 @@
+"""Policy networks: the paper's (Table II), and a compact one with a view centred on the UAV.
+
+Both map what a UAV sees to ``[sample, move, atom]`` logits: of the distribution of the return for
+Q-learning, or with a single atom of the choice of a move for imitation.
+"""
+
+from __future__ import annotations
+
+__all__ = ["NETWORKS", "CentredNetwork", "PaperQNetwork", "policy_network"]
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from skygain.ground.errors import InputError
+from skygain.networks.policies.inputs import (
+    FAR_CHANNELS,
+    NEAR_CHANNELS,
+    NUMBERS,
+    Seen,
+    View,
+    centred_view,
+    turned_view,
+)
+from skygain.networks.policies.planes import PLANES, planes
+
+MOVES = 4
+
+
+class PaperQNetwork(nn.Module):
+    """Convolutions of 64-128-256 channels, filters 4, 4, 2, strides 2, 2, 2; dense layers of
+    512-256-40-160; ReLU between.
+
+    The table's third layer of 16 × 16 does not follow from 24 × 24 by any stride; with stride 2 it
+    is 12 × 12.
+    """
+
+    centred: ClassVar[bool] = False
+    """whether the view is the same wherever the UAV is"""
+
+    def __init__(self, atoms: int = 40, side: int = 96, dueling: bool = False) -> None:
+        if dueling:
+            raise InputError(
+                "the paper's policy network has no dueling head; choose the network 'centred'"
+            )
+        super().__init__()
+        self.atoms, self.side = atoms, side
+        self.features = nn.Sequential(
+            nn.Conv2d(len(PLANES), 64, 4, 2, 1),
+            nn.ReLU(),
+            nn.Conv2d(64, 128, 4, 2, 1),
+            nn.ReLU(),
+            nn.Conv2d(128, 256, 2, 2),
+            nn.ReLU(),
+        )
+        self.head = nn.Sequential(
+            nn.Linear(256 * (side // 8) ** 2, 512),
+            nn.ReLU(),
+            nn.Linear(512, 256),
+            nn.ReLU(),
+            nn.Linear(256, 40),
+            nn.ReLU(),
+            nn.Linear(40, MOVES * atoms),
+        )
+
+    def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
+        """What the network is called with under a symmetry of the square; smaller maps are embedded
+        in ground without doubt.
+
+        Raises:
+            InputError: the map is larger than the network's.
+        """
+        room = self.side - np.array(seen.mean.shape[1:])
+        if room.min() < 0:
+            raise InputError(
+                f"this policy network sees maps of up to {self.side} × {self.side} cells, got "
+                f"{seen.mean.shape[1:]}; crop the city or "
+                "use a policy with a centred view"
+            )
+        mean, std, height = (
+            np.pad(m, ((0, 0), (0, room[0]), (0, room[1])))
+            for m in (seen.mean, seen.std, seen.height)
+        )
+        x = planes(mean, std, height, seen.cells, seen.uav)
+        x = x[:, :, :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+        x = x.transpose(0, 1, 3, 2) if symmetry & 4 else x
+        return (
+            torch.from_numpy(np.ascontiguousarray(x)).contiguous(memory_format=torch.channels_last),
+        )
+
+    def all_inputs(self, seen: Seen, count: int) -> Iterator[tuple[Tensor, ...]]:
+        """`inputs` under the first ``count`` symmetries."""
+        return (self.inputs(seen, symmetry) for symmetry in range(count))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self.head(self.features(x).flatten(1)).float().view(-1, MOVES, self.atoms)
+
+
+class CentredNetwork(nn.Module):
+    """Two convolutional towers over the two scales of the centred view, joined by dense layers; 0.8
+    million weights."""
+
+    centred: ClassVar[bool] = True
+    """whether the view is the same wherever the UAV is"""
+
+    def __init__(self, atoms: int = 1, side: int = 0, dueling: bool = False) -> None:
+        super().__init__()
+        self.atoms, self.dueling = atoms, dueling
+        self.near = _tower(len(NEAR_CHANNELS))
+        self.far = _tower(len(FAR_CHANNELS))
+        self.body = nn.Sequential(
+            nn.Linear(64 * (5 * 5 + 4 * 4) + NUMBERS, 256),
+            nn.ReLU(),
+            nn.Linear(256, 128),
+            nn.ReLU(),
+        )
+        self.head = nn.Linear(128, MOVES * atoms)
+        self.value = nn.Linear(128, atoms) if dueling else None
+
+    def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
+        """What the network is called with under a symmetry of the square."""
+        return _tensors(turned_view(centred_view(seen), symmetry))
+
+    def all_inputs(self, seen: Seen, count: int) -> Iterator[tuple[Tensor, ...]]:
+        """`inputs` under the first ``count`` symmetries."""
+        view = centred_view(seen)
+        return (_tensors(turned_view(view, symmetry)) for symmetry in range(count))
+
+    def forward(self, near: Tensor, far: Tensor, numbers: Tensor) -> Tensor:
+        x = self.body(
+            torch.cat([self.near(near).flatten(1), self.far(far).flatten(1), numbers], dim=1)
+        )
+        out = self.head(x).float().view(-1, MOVES, self.atoms)
+        if self.value is None:
+            return out
+        return out - out.mean(dim=1, keepdim=True) + self.value(x).float()[:, None]
+
+
+def _tensors(view: View) -> tuple[Tensor, ...]:
+    near, far, numbers = (torch.from_numpy(m) for m in view)
+    return (
+        near.contiguous(memory_format=torch.channels_last),
+        far.contiguous(memory_format=torch.channels_last),
+        numbers,
+    )
+
+
+def _tower(channels: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(channels, 32, 3, 2, 1),
+        nn.ReLU(),
+        nn.Conv2d(32, 64, 3, 2, 1),
+        nn.ReLU(),
+        nn.Conv2d(64, 64, 3, 2, 1),
+        nn.ReLU(),
+    )
+
+
+NETWORKS = {"paper": PaperQNetwork, "centred": CentredNetwork}
+"""by the name that stands in a run's settings and in a weight file's card"""
+
+
+def policy_network(shape: dict[str, Any]) -> nn.Module:
+    """The network that ``shape`` (keys network, atoms, side, dueling) describes, weights from
+    PyTorch's global generator."""
+    network = NETWORKS[shape["network"]](shape["atoms"], shape["side"], shape["dueling"])
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -1,0 +1,1 @@
+"""U-Nets from readings and a city map to gain and variance."""

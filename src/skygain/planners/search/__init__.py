@@ -1,0 +1,1 @@
+"""How planners look for paths."""

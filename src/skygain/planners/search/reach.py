@@ -1,0 +1,170 @@
+"""What one UAV can measure within its horizon, and which cells it can teach something about.
+
+`LocalReach` holds one UAV's covariances given the readings so far; they are computed once per
+decision. `LocalReach.given` conditions them on what the other UAVs plan, which is a small update
+and happens every time the UAV's turn comes.
+
+Target cells stand for small blocks of outdoor unvisited cells: the outdoor cell nearest the middle
+of the block, with the summed weight of the block, so that the sum over targets approximates the sum
+over the map.
+"""
+
+from __future__ import annotations
+
+__all__ = ["LocalReach", "target_cells"]
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from skygain.fields.planning import Conditioned, PlanningField
+from skygain.flight.airspace import Cells, distances_within
+from skygain.flight.swarm import Swarm
+from skygain.planners.search.path_search import MUTUAL_INFORMATION, VARIANCE, Reach
+
+Floats = NDArray[np.float32]
+
+
+def target_cells(
+    weight: NDArray[np.float64], centre: Cells, span: float, most: int
+) -> tuple[Cells, Floats]:
+    """Up to ``most`` cells ``[x, (row, col)]`` that stand for the weighted cells within ``span`` of
+    ``centre``, and their weights."""
+    low = np.maximum(0, np.floor(centre - span)).astype(int)
+    high = np.minimum(weight.shape, np.ceil(centre + span + 1)).astype(int)
+    window = weight[low[0] : high[0], low[1] : high[1]]
+    cells = np.argwhere(window > 0)
+    side = max(1, int(np.sqrt(len(cells) / max(most, 1))))
+    while True:
+        block = (cells // side) @ np.array([window.shape[1] + 1, 1])
+        _, where = np.unique(block, return_inverse=True)
+        n = int(where.max(initial=-1)) + 1
+        if n <= most:
+            break
+        side += 1
+    from_middle = np.abs(cells % side - (side - 1) / 2).sum(axis=1)
+    order = np.lexsort((from_middle, where))
+    first = order[np.searchsorted(where[order], np.arange(n))]
+    return cells[first] + low, np.bincount(where, window[window > 0], minlength=n).astype(
+        np.float32
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LocalReach:
+    """Covariances around one UAV given the readings so far, in single precision."""
+
+    source: Conditioned
+    """where covariances come from"""
+    index: NDArray[np.int32]
+    """``[row, col]`` number of each measurable cell, −1 elsewhere"""
+    cells: Cells
+    """``[m, (row, col)]`` measurable cells"""
+    targets: Cells
+    """``[x, (row, col)]`` target cells"""
+    root: Floats
+    """``[x]`` square root of the targets' weights"""
+    white: Floats
+    """``[n, m + x]`` covariance of the whitened readings with measurable and target cells"""
+    among: Floats
+    """``[m, m]`` covariance of the measurable cells"""
+    with_targets: Floats
+    """``[m, x]`` covariance of measurable cells and targets"""
+    objective: int
+    """what is maximised"""
+    noise_db2: float
+    """noise variance of a planned reading"""
+
+    @classmethod
+    def around(
+        cls,
+        field: PlanningField,
+        swarm: Swarm,
+        uav: int,
+        steps: int,
+        *,
+        weight: NDArray[np.float64],
+        objective: int,
+        noise_db2: float,
+        stride: int,
+        most_readings: int,
+        most_targets: int,
+        target_range_m: float,
+    ) -> LocalReach:
+        """The reach of ``uav`` within ``steps``; with ``stride`` 2 only the cells of every second
+        step count as measured."""
+        here = swarm.cells[uav]
+        distance = distances_within(swarm.flyable, here, steps)
+        near = (distance >= 0) & (distance <= steps) & (distance % stride == 0)
+        cells = np.argwhere(near)
+        index = np.full(distance.shape, -1, dtype=np.int32)
+        index[near] = np.arange(len(cells))
+        if objective in (VARIANCE, MUTUAL_INFORMATION):
+            targets, weights = target_cells(
+                weight, here, steps + target_range_m / swarm.spacing_m, most_targets
+            )
+        else:
+            targets, weights = np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.float32)
+        # readings as far beyond the targets as those are beyond the reach are screened off by
+        # nearer ones
+        span = steps + 2 * target_range_m / swarm.spacing_m
+        source = field.near(here[None], most_readings, span).conditioned(np.float32)
+        white = source.whitened(np.concatenate([cells, targets]))
+        mine, theirs = white[:, : len(cells)], white[:, len(cells) :]
+        return cls(
+            source=source,
+            index=index,
+            cells=cells,
+            targets=targets,
+            root=np.sqrt(weights),
+            white=white,
+            among=source.covariance(cells, cells, mine, mine),
+            with_targets=source.covariance(cells, targets, mine, theirs),
+            objective=objective,
+            noise_db2=noise_db2,
+        )
+
+    def given(self, planned: Cells) -> Reach:
+        """The reach when ``planned[p, (row, col)]``, distinct cells, will be measured by others."""
+        among, with_targets = self.among, self.with_targets
+        floor = 1e-4 * self.source.field.level_db2
+        if len(planned):
+            joint = np.concatenate([self.cells, self.targets])
+            white = self.source.whitened(planned)
+            gram = self.source.covariance(planned, planned, white, white).astype(float)
+            gram[np.diag_indices_from(gram)] += self.noise_db2
+            cross = self.source.covariance(planned, joint, white, self.white)
+            shares = solve_triangular(
+                np.linalg.cholesky(gram).astype(np.float32), cross, lower=True, check_finite=False
+            )
+            mine, theirs = shares[:, : len(self.cells)], shares[:, len(self.cells) :]
+            among = among - mine.T @ mine
+            with_targets = with_targets - mine.T @ theirs
+        given_targets = np.zeros((0, 0), dtype=np.float32)
+        if self.objective == MUTUAL_INFORMATION:
+            given_targets = self._given_targets(planned)
+        if self.objective == VARIANCE:
+            with_targets = with_targets * self.root
+        return Reach(
+            self.index,
+            among,
+            np.ascontiguousarray(with_targets),
+            given_targets,
+            self.noise_db2,
+            floor,
+            self.objective,
+        )
+
+    def _given_targets(self, planned: Cells) -> Floats:
+        """``[m, m]`` covariance of the measurable cells given ``planned`` and all targets."""
+        known = np.unique(np.concatenate([planned, self.targets]), axis=0)
+        white = self.source.whitened(known)
+        gram = self.source.covariance(known, known, white, white).astype(float)
+        gram[np.diag_indices_from(gram)] += self.noise_db2
+        cross = self.source.covariance(known, self.cells, white, self.white[:, : len(self.cells)])
+        shares = solve_triangular(
+            np.linalg.cholesky(gram).astype(np.float32), cross, lower=True, check_finite=False
+        )
+        return self.among - shares.T @ shares

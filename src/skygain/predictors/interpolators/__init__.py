@@ -1,0 +1,1 @@
+"""Predictors without a model of propagation."""

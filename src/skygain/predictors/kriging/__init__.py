@@ -1,0 +1,1 @@
+"""Kriging with a known, inferred or no transmitter."""

@@ -1,0 +1,224 @@
+"""Kriging: a trend, a Gaussian process around it, and beliefs that grow with the survey (paper,
+section VII-A).
+
+The gain is modelled as y(q) = h(q)ᵀθ + g(q) with θ ~ N(θ₀, Σ) and g a zero-mean field with
+covariance φ exp(−d/δ) + ν·1[d = 0]. With Σ = 0 this is the paper's simple Kriging around a fixed
+path-loss line. With the trained Σ the survey also learns its own θ, which the paper does not do;
+the answer is still exact, since θ enters linearly.
+
+Every ``updated`` appends to the inverse Cholesky factor and to a few maps. At scheduled sizes, when
+the number of observations passes 3, 5, 8, 12, … (half as many again each time), the covariance is
+first fitted to the survey anew and everything is rebuilt once. Three things may be chosen there
+(see `skygain.predictors.kriging.survey_fit`): the trained parameters, ones without a path-loss
+line, and generic ones for a place or a quantity unlike all that was trained on.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "KrigingBelief",
+    "KrigingPredictor",
+    "blind_kriging",
+    "inferred_kriging",
+    "quadratic_kriging",
+]
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skygain.ground.errors import InputError
+from skygain.measurements import Measurements
+from skygain.posterior import GaussianProcessPosterior
+from skygain.predictors.base import Belief, Predictor
+from skygain.predictors.interpolators.readings import Readings, checked_flat, combined
+from skygain.predictors.kriging.inferred_trend import InferredTrend
+from skygain.predictors.kriging.parameters import (
+    TRENDS,
+    KrigingParameters,
+    trained_parameters,
+    trend_columns,
+)
+from skygain.predictors.kriging.state import KrigingState
+from skygain.predictors.kriging.survey_fit import fit_is_due, fit_to_survey, survey_priors
+from skygain.predictors.kriging.trend import FixedTrend, Trend
+from skygain.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KrigingPredictor(Predictor):
+    """Kriging around ``trend``; the default needs the transmitter's position.
+
+    Raises:
+        InputError: unknown trend, or parameters with another number of trend coefficients.
+    """
+
+    trend: str = "log-distance"
+    """``"log-distance"``; ``"inferred"``, the same around a transmitter that has to be found;
+    ``"constant"``; ``"quadratic"``"""
+    parameters: KrigingParameters | None = None
+    """trend and covariance to start from; ``None`` takes the trained ones for the scenario's
+    altitude"""
+    refit: bool = True
+    """fit the covariance to the survey's own data on the schedule; ``False`` keeps the parameters
+    as they are"""
+    transmitter: Literal["required", "optional", "unused"] = field(
+        init=False, repr=False, default="unused"
+    )
+    """only the log-distance trend needs the transmitter's position"""
+
+    def __post_init__(self) -> None:
+        if self.trend not in (*TRENDS, "inferred"):
+            raise InputError(f"unknown trend {self.trend!r}; known: {', '.join(TRENDS)}, inferred")
+        expected = {"constant": 1, "quadratic": 6}.get(self.trend, 2)
+        if self.parameters is not None and len(self.parameters.trend) != expected:
+            raise InputError(
+                f"a trend {self.trend!r} has {expected} coefficients, but the parameters give "
+                f"{len(self.parameters.trend)}"
+            )
+        object.__setattr__(
+            self, "transmitter", "required" if self.trend == "log-distance" else "unused"
+        )
+
+    def begin(self, scenario: Scenario) -> KrigingBelief:
+        """The belief before the first measurement.
+
+        Raises:
+            InputError: the trend needs a transmitter and the scenario has none.
+        """
+        parameters = self.priors(scenario)[0][0]
+        if self.trend == "inferred":
+            trend: Trend = InferredTrend.unobserved(scenario, parameters)
+        else:
+            grid, transmitter = scenario.grid, scenario.transmitter_m
+            predicted = trend_columns(self.trend, grid, scenario.prediction_altitude_m, transmitter)
+            flown = trend_columns(self.trend, grid, scenario.uav_altitude_m, transmitter)
+            trend = FixedTrend.unobserved(flown, predicted, parameters)
+        return KrigingBelief(
+            self,
+            scenario,
+            Measurements.none(),
+            KrigingState.unobserved(scenario, parameters, trend),
+        )
+
+    def priors(self, scenario: Scenario) -> list[tuple[KrigingParameters, float]]:
+        """What a survey chooses from, the likeliest first, with the logarithm of the odds."""
+        if self.parameters is not None:
+            return [(self.parameters, 0.0)]
+        if (
+            self.trend == "inferred"
+        ):  # without a path-loss line there would be no transmitter to find
+            return [(trained_parameters("log-distance", scenario.prediction_altitude_m), 0.0)]
+        return survey_priors(self.trend, scenario)
+
+
+def blind_kriging(**options: Any) -> KrigingPredictor:
+    """Kriging that does not know the transmitter: constant trend."""
+    return KrigingPredictor(trend="constant", **options)
+
+
+def quadratic_kriging(**options: Any) -> KrigingPredictor:
+    """Kriging that does not know the transmitter: second-order trend."""
+    return KrigingPredictor(trend="quadratic", **options)
+
+
+def inferred_kriging(**options: Any) -> KrigingPredictor:
+    """Kriging that does not know the transmitter and finds it on the way."""
+    return KrigingPredictor(trend="inferred", **options)
+
+
+class KrigingBelief(Belief):
+    """What Kriging knows in the middle of a survey."""
+
+    __slots__ = ("_posterior", "measurements", "predictor", "scenario", "state")
+
+    def __init__(
+        self,
+        predictor: KrigingPredictor,
+        scenario: Scenario,
+        measurements: Measurements,
+        state: KrigingState,
+    ) -> None:
+        self.predictor = predictor
+        self.scenario = scenario
+        self.measurements = measurements
+        self.state = state
+        self._posterior: GaussianProcessPosterior | None = None
+
+    @property
+    def parameters(self) -> KrigingParameters:
+        """Trend and covariance in use, as of the last fit."""
+        return self.state.parameters
+
+    def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
+        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading:
+        φ exp(−d/δ) + ν·1[d = 0]."""
+        distance, kernel = np.asarray(distance_m, dtype=float), self.parameters
+        return kernel.sill_db2 * np.exp(-distance / kernel.range_m) + kernel.nugget_db2 * (
+            distance == 0
+        )
+
+    def updated(self, measurements: Measurements) -> KrigingBelief:
+        """The belief after ``measurements`` as well.
+
+        Raises:
+            InputError: a measurement lies off the map.
+        """
+        if len(measurements) == 0:
+            return self
+        flat = checked_flat(self.scenario.grid, measurements)
+        noise = measurements.noise_std_db**2
+        plain = ~measurements.censored
+        readings = combined(flat[plain], measurements.gain_db[plain], noise[plain])
+        state = self._fitted(readings).with_readings(readings)
+        for i in np.flatnonzero(measurements.censored):
+            state = state.with_floor_reading(
+                int(flat[i]), float(measurements.gain_db[i]), float(noise[i])
+            )
+        return KrigingBelief(
+            self.predictor, self.scenario, self.measurements.extended(measurements), state
+        )
+
+    def _fitted(self, coming: Readings) -> KrigingState:
+        """The state to extend by ``coming``: rebuilt with parameters fitted to it as well, if the
+        schedule says so."""
+        state = self.state
+        size = len(state.gain_db) + int((~state.exact[coming.cells]).sum())
+        if not self.predictor.refit or not fit_is_due(size, state.fitted_at):
+            return state
+        old = combined(state.process.cells, state.gain_db, state.process.noise_db2)
+        everything = combined(
+            np.concatenate([old.cells, coming.cells]),
+            np.concatenate([old.gain_db, coming.gain_db]),
+            np.concatenate([old.noise_db2, coming.noise_db2]),
+        )
+        priors = self.predictor.priors(self.scenario)
+        # Where the transmitter may be is part of the columns, and the coming readings have a say in
+        # it.
+        trend = (
+            state.with_readings(coming).trend if self.predictor.trend == "inferred" else state.trend
+        )
+        parameters = fit_to_survey(self.scenario.grid, priors, everything, trend.columns)
+        fresh = KrigingState.unobserved(
+            self.scenario, parameters, state.trend.restarted(parameters)
+        )
+        return replace(fresh.with_readings(old), fitted_at=size)
+
+    def posterior(self) -> GaussianProcessPosterior:
+        if self._posterior is None:
+            shape = self.scenario.grid.shape
+            mean, variance = self.state.moments()
+            self._posterior = GaussianProcessPosterior(
+                mean.reshape(shape), variance.reshape(shape), self._covariance
+            )
+        return self._posterior
+
+    def _covariance(self, cells: NDArray[np.int64], others: NDArray[np.int64]) -> Array:
+        """``[n, m]`` posterior covariance in dB² of the gain at ``cells[n]`` and ``others[m]``."""
+        grid = self.scenario.grid
+        first = grid.flat(cells)
+        return self.state.covariance(first, first if cells is others else grid.flat(others))

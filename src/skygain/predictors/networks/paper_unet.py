@@ -1,0 +1,78 @@
+"""The paper's predictor: two U-Nets that turn (city, measurements) into a mean and a variance per
+cell (paper, section V)."""
+
+from __future__ import annotations
+
+__all__ = ["PaperUNetPredictor", "map_blind_unet"]
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.ground.errors import InputError
+from skygain.predictors.base import Predictor
+from skygain.predictors.networks.network_belief import NetworkBelief
+from skygain.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class PaperUNetPredictor(Predictor):
+    """Trained for maps of 96 × 96 cells of 4 m, one altitude and one number of UAVs; smaller maps
+    are embedded in open ground."""
+
+    weights: str | Path = "paper-unet"
+    """name or file of the weights"""
+    blind: bool = False
+    """the map-blind twin"""
+
+    def begin(self, scenario: Scenario) -> NetworkBelief:
+        """The belief before the first measurement.
+
+        Raises:
+            InputError: the map is larger than the network's, or flight and prediction differ in
+                altitude.
+        """
+        from skygain.networks.unets.paper import SIDE
+
+        if max(scenario.grid.shape) > SIDE:
+            raise InputError(
+                f"the paper's U-Net answers for maps of up to {SIDE} × {SIDE} cells, got "
+                f"{scenario.grid.shape}; "
+                "crop the city or use the predictor 'operator'"
+            )
+        _ = self._network
+        return NetworkBelief.begun(scenario, self._evaluate)
+
+    @cached_property
+    def _network(self) -> Any:
+        from skygain.networks.unets.paper import PaperUNets
+        from skygain.networks.weights import load_network
+
+        network = PaperUNets(self.blind)
+        load_network(network, self.weights)
+        return network.frozen()
+
+    def _evaluate(
+        self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
+    ) -> tuple[NDArray, NDArray]:
+        import torch
+
+        from skygain.networks.unets.paper import SIDE, paper_inputs
+
+        rows, cols = gain.shape[1:]
+        room = ((0, 0), (0, SIDE - rows), (0, SIDE - cols))
+        heights = np.stack([s.city.height_m for s in scenarios])
+        height, gains, mask = (torch.from_numpy(np.pad(m, room)) for m in (heights, gain, measured))
+        with torch.inference_mode():
+            mean, log_variance = self._network(paper_inputs(height, gains, mask, self.blind))
+        return mean[:, :rows, :cols].numpy(), torch.exp(log_variance)[:, :rows, :cols].numpy()
+
+
+def map_blind_unet(weights: str | Path = "paper-unet-mapblind") -> PaperUNetPredictor:
+    """The same network without the height map (paper, section VIII-E)."""
+    return PaperUNetPredictor(weights=weights, blind=True)

@@ -1,0 +1,1 @@
+"""One survey shown: pictures, a page, files for other programs."""

@@ -1,0 +1,285 @@
+"""A survey's result as files that other programs read: JSON, CSV, GeoTIFF and NetCDF.
+
+Each writer takes an `Outcome` and a path and writes the file atomically. A writer that can do less
+than all because an optional package is missing says so in the note it returns, so that a survey
+never ends without its results.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "write_measurements_csv",
+    "write_radio_map_nc",
+    "write_radio_map_tif",
+    "write_results_json",
+]
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import skygain
+from skygain.ground.errors import MissingExtraError, require
+from skygain.ground.files import atomic_write
+from skygain.ground.strict_json import json_text
+from skygain.reports.outcome import Outcome
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
+    """Every reading as a line, in the order taken.
+
+    Columns: ``x_m, y_m`` (cell centre), ``lat, lon`` (degrees WGS 84, only on a georeferenced map),
+    ``row, col``, ``gain_db``, ``noise_std_db``, ``time_s``, ``uav`` (from 0), ``censored`` (1 where
+    the receiver was at its floor, else 0).
+
+    Returns:
+        A note when latitudes had to be left out because the geo extra is missing, else ``None``.
+    """
+    readings, grid, note = outcome.result.measurements, outcome.grid, None
+    x_m, y_m = grid.xy_m(readings.cell).T
+    columns = {"x_m": [f"{x:.12g}" for x in x_m], "y_m": [f"{y:.12g}" for y in y_m]}
+    if grid.crs is not None:
+        try:
+            latlon = grid.latlon(readings.cell)
+            columns |= {
+                "lat": [f"{v:.9f}" for v in latlon[:, 0]],
+                "lon": [f"{v:.9f}" for v in latlon[:, 1]],
+            }
+        except MissingExtraError:
+            note = f"{path.name} has no lat and lon columns: install skygain[geo]"
+    columns |= {
+        "row": readings.cell[:, 0].tolist(),
+        "col": readings.cell[:, 1].tolist(),
+        # written in full, so that a replay reads the same bits
+        "gain_db": readings.gain_db.tolist(),
+        "noise_std_db": readings.noise_std_db.tolist(),
+        "time_s": readings.time_s.tolist(),
+        "uav": readings.uav.tolist(),
+        "censored": readings.censored.astype(int).tolist(),
+    }
+    with atomic_write(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+    return note
+
+
+def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
+    """The map as a GeoTIFF with three float32 bands, north up, named in their descriptions.
+
+    ``mean_db`` and ``std_db`` hold the final estimate, no-data inside buildings; ``measured`` holds
+    the mean of the readings of a cell, no-data where there is none. No-data is NaN. Without a CRS
+    the transform is in the metres of the city's own frame.
+
+    Returns:
+        A note when the geo extra is missing and nothing was written, else ``None``.
+    """
+    try:
+        rasterio = require("rasterio", "geo")
+    except MissingExtraError:
+        return f"{path.name} skipped: install skygain[geo]"
+    from rasterio.io import MemoryFile
+
+    bands = {"mean_db": outcome.mean_db, "std_db": outcome.std_db, "measured": outcome.measured_db}
+    west, _, _, north = outcome.grid.bounds_m
+    spacing = outcome.grid.spacing_m
+    profile = {
+        "driver": "GTiff",
+        "height": outcome.grid.shape[0],
+        "width": outcome.grid.shape[1],
+        "count": len(bands),
+        "dtype": "float32",
+        "nodata": np.nan,
+        "crs": outcome.grid.crs,
+        "transform": rasterio.Affine(spacing, 0.0, west, 0.0, -spacing, north),
+        "compress": "deflate",
+        "predictor": 3,
+    }
+    # Made in memory: GDAL would put a side file next to the temporary name.
+    with MemoryFile() as memory:
+        with memory.open(**profile) as raster:
+            for number, (name, values) in enumerate(bands.items(), start=1):
+                raster.write(
+                    np.flipud(values).astype(np.float32), number
+                )  # row 0 is the south, a GeoTIFF begins in the north
+                raster.set_band_description(number, name)
+                raster.set_band_unit(number, "dB")
+            raster.update_tags(**{key: str(value) for key, value in _facts(outcome).items()})
+        with atomic_write(path) as tmp:
+            tmp.write_bytes(memory.read())
+    return None
+
+
+def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:
+    """The map as NetCDF 4 after the CF conventions, readable with xarray, GDAL and Panoply.
+
+    Coordinates ``y`` (ascending: row 0 is the south) and ``x`` in metres; variables ``mean_db``,
+    ``std_db`` (NaN indoors), ``measured_db`` (NaN where there is no reading), ``truth_db`` (where
+    known), ``outdoor`` and ``height_m``. A georeferenced map also has the grid mapping
+    ``spatial_ref``.
+
+    Returns:
+        A note when the CRS could only be named because the geo extra is missing, else ``None``.
+    """
+    dataset, note = _dataset(outcome)
+    if note:
+        note = f"{path.name} {note}"
+    numbers = {
+        name: {"zlib": True, "complevel": 4}
+        for name in dataset.data_vars
+        if dataset[name].ndim == 2
+    }
+    with atomic_write(path) as tmp:
+        dataset.to_netcdf(tmp, engine="h5netcdf", encoding=numbers)
+    return note
+
+
+def _dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
+    """The NetCDF's content, and what could not be said about the CRS."""
+    import xarray as xr
+
+    grid, dims = outcome.grid, ("y", "x")
+    layers: dict[str, tuple[np.ndarray, str, str]] = {
+        "mean_db": (outcome.mean_db.astype(np.float32), "dB", "estimated channel gain"),
+        "std_db": (
+            outcome.std_db.astype(np.float32),
+            "dB",
+            "predicted standard deviation of the channel gain",
+        ),
+        "measured_db": (
+            outcome.measured_db.astype(np.float32),
+            "dB",
+            "mean of the channel gains measured in the cell",
+        ),
+        "height_m": (outcome.scenario.city.height_m, "m", "building height above the street"),
+        "outdoor": (
+            outcome.scenario.outdoor.astype(np.int8),
+            "1",
+            "1 where the cell is outdoors at the prediction altitude",
+        ),
+    }
+    if outcome.outdoor_truth_db is not None:
+        layers["truth_db"] = (
+            outcome.outdoor_truth_db.astype(np.float32),
+            "dB",
+            "true channel gain",
+        )
+    dataset = xr.Dataset(
+        {
+            name: (dims, values, {"units": unit, "long_name": text})
+            for name, (values, unit, text) in layers.items()
+        },
+        coords={
+            "y": (
+                "y",
+                grid.y_m,
+                {"units": "m", "axis": "Y", "long_name": "northing of the cell centre"},
+            ),
+            "x": (
+                "x",
+                grid.x_m,
+                {"units": "m", "axis": "X", "long_name": "easting of the cell centre"},
+            ),
+        },
+        attrs={"Conventions": "CF-1.11", **_facts(outcome)},
+    )
+    if grid.crs is None:
+        return dataset, None
+    note = None
+    try:
+        mapping = require("pyproj", "geo").CRS.from_user_input(grid.crs).to_cf()
+        for axis, name in (("x", "projection_x_coordinate"), ("y", "projection_y_coordinate")):
+            dataset[axis].attrs["standard_name"] = name
+    except MissingExtraError:
+        mapping, note = {}, f"names the CRS {grid.crs} without its definition: install skygain[geo]"
+    west, _, _, north = grid.bounds_m
+    mapping["GeoTransform"] = f"{west!r} {grid.spacing_m!r} 0.0 {north!r} 0.0 {-grid.spacing_m!r}"
+    dataset = dataset.assign_coords(spatial_ref=((), 0, {"crs": grid.crs, **mapping}))
+    for name in layers:
+        dataset[name].attrs["grid_mapping"] = "spatial_ref"
+    return dataset, note
+
+
+def write_results_json(outcome: Outcome, path: Path) -> None:
+    """Settings, scores over steps, planning and update times as strict JSON: sorted keys, ``null``
+    for what is not a number.
+
+    Raises:
+        TypeError: the configuration holds something JSON cannot say.
+    """
+    from skygain.evaluation.rollout import delays_ms
+
+    result, grid, scenario = outcome.result, outcome.grid, outcome.scenario
+    readings = result.measurements
+    certificates = [
+        record.certificate for record in result.journal if record.certificate is not None
+    ]
+    content = {
+        "title": outcome.title,
+        "skygain": skygain.__version__,
+        "config": outcome.config or {},
+        "city": {
+            "name": scenario.city.name,
+            "shape": grid.shape,
+            "spacing_m": grid.spacing_m,
+            "origin_m": grid.origin_m,
+            "crs": grid.crs,
+        },
+        "scenario": {
+            "uav_altitude_m": scenario.uav_altitude_m,
+            "prediction_altitude_m": scenario.prediction_altitude_m,
+            "frequency_hz": scenario.frequency_hz,
+            "transmitter_m": outcome.transmitter_m,
+            "transmitter_known": scenario.transmitter_m is not None,
+            "outdoor_cells": int(scenario.outdoor.sum()),
+        },
+        "survey": {
+            "stopped": result.stopped,
+            "uavs": result.swarm.n_uavs,
+            "steps_flown": result.swarm.steps_flown,
+            "start_cells": result.swarm.history[:, 0],
+            "readings": len(readings),
+            "censored_readings": int(readings.censored.sum()),
+            "measured_cells": int(readings.visited(grid.shape).sum()),
+        },
+        "scores": {name: values[-1] for name, values in outcome.scores.items()},
+        "scores_over_steps": {"step": outcome.steps, **outcome.scores},
+        "timings": {**result.timings, **delays_ms(result.journal)},
+        "certificates": certificates,
+    }
+    text = json_text(content)
+    with atomic_write(path) as tmp:
+        tmp.write_text(text, encoding="utf-8", errors="replace")
+
+
+def _facts(outcome: Outcome) -> dict[str, str | float]:
+    """What a reader of a map has to know beside its numbers."""
+    scenario = outcome.scenario
+    facts: dict[str, str | float] = {
+        "title": _printable(outcome.title),
+        "source": f"Skygain {skygain.__version__}",
+        "city": _printable(scenario.city.name),
+        "prediction_altitude_m": float(scenario.prediction_altitude_m),
+        "uav_altitude_m": float(scenario.uav_altitude_m),
+        "frequency_hz": float(scenario.frequency_hz),
+    }
+    if outcome.transmitter_m is not None:
+        facts |= dict(
+            zip(
+                ("transmitter_x_m", "transmitter_y_m", "transmitter_z_m"),
+                map(float, outcome.transmitter_m),
+                strict=True,
+            )
+        )
+    return facts
+
+
+def _printable(text: str) -> str:
+    """``text`` without what an HDF5 or TIFF attribute cannot hold: NUL and halves of surrogate
+    pairs."""
+    return text.encode("utf-8", "replace").decode("utf-8").replace("\0", "")

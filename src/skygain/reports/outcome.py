@@ -1,0 +1,139 @@
+"""A finished survey together with what is needed to write about it.
+
+Every file of a run folder (tables, rasters, pictures, report) tells of the same thing, so all
+writers take this one object. What several of them need, such as the final posterior or the map of
+readings, is worked out once here.
+"""
+
+from __future__ import annotations
+
+__all__ = ["SCORE_LABELS", "Outcome", "score_label"]
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.grid import Grid
+from skygain.posterior import Posterior
+from skygain.scenario import Scenario
+
+if TYPE_CHECKING:
+    from skygain.evaluation.rollout import Frame
+    from skygain.survey.loop import SurveyResult
+
+Array = NDArray[np.float64]
+
+SCORE_LABELS: dict[str, str] = {
+    "rmse_db": "RMSE, unvisited cells",
+    "rmse_all_db": "RMSE, all outdoor cells",
+    "rmse_ray_traced_db": "RMSE, cells a ray reached",
+    "rmse_rest_db": "RMSE, cells no ray reached",
+    "mean_std_db": "mean predicted std. deviation",
+    "crps_db": "CRPS",
+    "gof": "goodness of fit",
+    "error_ratio": "squared error over variance",
+    "nll": "negative log likelihood",
+    "coverage50": "coverage of the 50 % interval",
+    "coverage90": "coverage of the 90 % interval",
+}
+"""what each score is called in pictures and reports"""
+
+
+def score_label(name: str) -> str:
+    """What the score called ``name`` is called in pictures and reports; an unknown one keeps its
+    name."""
+    return SCORE_LABELS.get(name, name.replace("_", " "))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One survey, told from its end."""
+
+    result: SurveyResult
+    """what the loop returned"""
+    frames: Sequence[Frame] = ()
+    """the survey at some of its steps, in order, with maps"""
+    truth_db: NDArray[np.floating] | None = None
+    """``[row, col]`` true gain, NaN where unknown; ``None`` when none is known"""
+    title: str = "Survey"
+    """headline of the report"""
+    config: Mapping[str, Any] | None = None
+    """the settings of the run, nested mappings of plain values"""
+    true_transmitter_m: tuple[float, float, float] | None = None
+    """(x, y, z) of the transmitter where it was withheld from the predictor but is known to the
+    truth"""
+
+    level_label: str = "channel gain in dB"
+    """what is mapped, with its unit; a recording may hold received power instead"""
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was known before the survey."""
+        return self.result.scenario
+
+    @property
+    def grid(self) -> Grid:
+        """The map's raster."""
+        return self.result.scenario.grid
+
+    @property
+    def transmitter_m(self) -> tuple[float, float, float] | None:
+        """(x, y, z) of the transmitter, as far as anyone knows."""
+        return self.true_transmitter_m or self.scenario.transmitter_m
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """What is believed at the end."""
+        return self.result.belief.posterior()
+
+    @cached_property
+    def mean_db(self) -> Array:
+        """``[row, col]`` estimate, NaN where the prediction does not count (indoors)."""
+        return np.where(self.scenario.outdoor, self.posterior.mean_db, np.nan)
+
+    @cached_property
+    def std_db(self) -> Array:
+        """``[row, col]`` predicted standard deviation, NaN indoors."""
+        return np.where(self.scenario.outdoor, self.posterior.std_db, np.nan)
+
+    @cached_property
+    def outdoor_truth_db(self) -> Array | None:
+        """``[row, col]`` truth, NaN indoors and where unknown; ``None`` when it is known nowhere
+        outdoors."""
+        if self.truth_db is None:
+            return None
+        truth = np.where(self.scenario.outdoor, np.asarray(self.truth_db, dtype=float), np.nan)
+        return truth if np.isfinite(truth).any() else None
+
+    @property
+    def truth_is_complete(self) -> bool:
+        """Whether the truth is known in every outdoor cell; it is not where it was recorded."""
+        truth = self.outdoor_truth_db
+        return truth is not None and bool(np.isfinite(truth[self.scenario.outdoor]).all())
+
+    @cached_property
+    def measured_db(self) -> Array:
+        """``[row, col]`` mean of the readings taken in each cell, NaN where there is none."""
+        readings = self.result.measurements
+        index = self.grid.flat(readings.cell)
+        count = np.bincount(index, minlength=self.grid.size)
+        total = np.bincount(index, weights=readings.gain_db, minlength=self.grid.size)
+        with np.errstate(invalid="ignore"):
+            return (total / count).reshape(self.grid.shape)
+
+    @cached_property
+    def steps(self) -> list[int]:
+        """Steps flown at each frame."""
+        return [int(frame.step) for frame in self.frames]
+
+    @cached_property
+    def scores(self) -> dict[str, list[float]]:
+        """Each score at each frame; NaN where a frame lacks one."""
+        names = dict.fromkeys(name for frame in self.frames for name in frame.scores)
+        return {
+            name: [float(frame.scores.get(name, np.nan)) for frame in self.frames] for name in names
+        }

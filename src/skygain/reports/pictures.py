@@ -1,0 +1,461 @@
+"""Pictures of a survey for papers, slides and run folders.
+
+All maps are drawn in metres with x to the east and y to the north. Gains are drawn in viridis,
+uncertainty in magma and errors in red and blue, which people with any colour vision can tell apart;
+buildings are grey, the darker the higher. Matplotlib is loaded on the first use and driven through
+its objects, so a caller's own figures and settings are left alone.
+"""
+
+from __future__ import annotations
+
+__all__ = ["UAV_COLOURS", "paths_picture", "rmse_curves", "rmse_picture", "survey_maps"]
+
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
+from skygain.reports.outcome import Outcome, score_label
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+UAV_COLOURS = (
+    "#E69F00",
+    "#56B4E9",
+    "#CC79A7",
+    "#D55E00",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#999999",
+)
+"""one colour per UAV, after Okabe and Ito (2008); the ninth UAV gets the first again"""
+
+_LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6D00", "#56B4E9", "#222222")
+_LINE_STYLES = ("-", "--", ":")
+_MARKERS = "osD^vPXphd<>"
+_INK, _SOFT, _GROUND = "#1F2933", "#66727F", "#F4F5F7"
+_DPI = 160
+
+
+def survey_maps(outcome: Outcome, path: Path) -> None:
+    """Truth, estimate, error and uncertainty at the end of the survey, in one figure.
+
+    Truth and estimate share one colour scale. Without a truth the readings take its place and the
+    error is left out.
+    """
+    truth, estimate = outcome.outdoor_truth_db, outcome.mean_db
+    shown = [outcome.measured_db if truth is None else truth, estimate]
+    low, high = _limits(np.concatenate([m[np.isfinite(m)] for m in shown]), (1, 99.5))
+    figure = _figure((16.2, 5.3) if truth is None else (11.0, 10.2), outcome)
+    axes = figure.subplots(*((1, 3) if truth is None else (2, 2))).ravel()
+    names = (
+        "Readings"
+        if truth is None
+        else "Truth"
+        if outcome.truth_is_complete
+        else "Truth, where known",
+        "Estimate",
+    )
+    for panel, values, name in zip(axes, shown, names, strict=False):
+        image = _map(panel, outcome, values, name, cmap="viridis", vmin=low, vmax=high)
+        _colour_bar(figure, image, panel, outcome.level_label, extend="both")
+        _transmitter(panel, outcome)
+    _thin_paths(axes[1], outcome)
+    if truth is not None:
+        error = estimate - truth
+        reach = _limits(np.abs(error), (0, 98))[1]
+        rmse = float(np.sqrt(np.nanmean(error**2)))
+        name = f"Error (estimate − truth), RMSE {rmse:.1f} dB"
+        image = _map(axes[2], outcome, error, name, cmap="RdBu_r", vmin=-reach, vmax=reach)
+        _colour_bar(figure, image, axes[2], "error in dB", extend="both")
+    std = outcome.std_db
+    image = _map(
+        axes[-1],
+        outcome,
+        std,
+        "Uncertainty (standard deviation)",
+        cmap="magma",
+        vmin=0,
+        vmax=_limits(std, (0, 99.5))[1],
+    )
+    _colour_bar(figure, image, axes[-1], "standard deviation in dB", extend="max")
+    for panel in axes:
+        panel.label_outer()
+    _save(figure, path)
+
+
+def paths_picture(outcome: Outcome, path: Path) -> None:
+    """Where the UAVs flew, over the building heights; one colour per UAV, a circle at its start, a
+    square at its end."""
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    grid, scenario = outcome.grid, outcome.scenario
+    history = outcome.result.swarm.history
+    figure = _figure((7.4, 6.6), outcome)
+    axes = figure.subplots()
+    height = np.where(scenario.city.height_m > 0, scenario.city.height_m, np.nan)
+    _frame_axes(axes, outcome)
+    uavs = "1 UAV" if len(history) == 1 else f"{len(history)} UAVs"
+    axes.set_title(f"{uavs}, {history.shape[1] - 1} steps", loc="left", color=_INK)
+    greys = LinearSegmentedColormap.from_list("roofs", ["#DDE1E6", "#59636E"])
+    image = axes.imshow(
+        height, origin="lower", extent=_extent(grid), cmap=greys, vmin=0, vmax=_limits(height)[1]
+    )
+    if np.isfinite(height).any():
+        _colour_bar(figure, image, axes, "building height in m")
+    if scenario.no_fly is not None and scenario.no_fly.any():
+        _no_fly(axes, outcome, scenario.no_fly)
+    low = (scenario.city.height_m > 0) & ~scenario.city.obstructed(scenario.uav_altitude_m)
+    if low.any():
+        _hatch(axes, outcome, low, "...", "white")
+
+    # UAVs that share a street are drawn beside each other, within a cell.
+    offsets = (
+        (np.arange(len(history)) - (len(history) - 1) / 2)
+        * grid.spacing_m
+        * min(0.16, 0.7 / max(len(history), 1))
+    )
+    handles: list[Any] = []
+    for uav, cells in enumerate(history):
+        colour = UAV_COLOURS[uav % len(UAV_COLOURS)]
+        x, y = (grid.xy_m(cells) + offsets[uav]).T
+        axes.plot(
+            x,
+            y,
+            color=_INK,
+            lw=2.6,
+            alpha=0.55,
+            solid_joinstyle="round",
+            solid_capstyle="round",
+            zorder=3,
+        )
+        axes.plot(
+            x, y, color=colour, lw=1.5, solid_joinstyle="round", solid_capstyle="round", zorder=4
+        )
+        for where, marker in ((0, "o"), (-1, "s")):
+            axes.plot(x[where], y[where], marker, ms=9, color=colour, mec=_INK, mew=1.1, zorder=6)
+            if len(history) > 1:
+                axes.annotate(
+                    str(uav),
+                    (x[where], y[where]),
+                    ha="center",
+                    va="center_baseline",
+                    fontsize=6.5,
+                    color=_INK,
+                    zorder=7,
+                )
+        handles.append(Line2D([], [], color=colour, lw=2.5, label=f"UAV {uav}"))
+    _transmitter(axes, outcome)
+    handles = handles if len(handles) <= len(UAV_COLOURS) else []
+    handles += [
+        Line2D([], [], ls="", marker=marker, color="white", mec=_INK, ms=7, label=label)
+        for marker, label in (("o", "start"), ("s", "end"))
+    ]
+    if outcome.transmitter_m is not None and _on_map(outcome):
+        handles.append(
+            Line2D([], [], ls="", marker="*", color="#FFD23F", mec=_INK, ms=12, label="transmitter")
+        )
+    if scenario.no_fly is not None and scenario.no_fly.any():
+        handles.append(Patch(fc=(0.70, 0.15, 0.12, 0.10), ec="#B3261E", lw=0.8, label="no-fly"))
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False
+    )
+    _save(figure, path)
+
+
+def rmse_picture(outcome: Outcome, path: Path) -> None:
+    """Error and predicted uncertainty against the steps flown; without a truth, the predicted
+    uncertainty alone."""
+    figure = _figure((7.0, 4.2), outcome)
+    axes = figure.subplots()
+    names = [
+        n
+        for n in ("rmse_db", "rmse_all_db", "mean_std_db")
+        if np.isfinite(outcome.scores.get(n, [])).any()
+    ]
+    for number, name in enumerate(names):
+        colour = {"mean_std_db": _SOFT}.get(name, _LINE_COLOURS[number])
+        style = {"mean_std_db": "--"}.get(name, "-")
+        values = outcome.scores[name]
+        label = (
+            f"{score_label(name)}  {values[-1]:.1f}"
+            if np.isfinite(values[-1])
+            else score_label(name)
+        )
+        axes.plot(outcome.steps, values, style, color=colour, lw=2, label=label)
+    errors = any(name.startswith("rmse") for name in names)
+    _curve_axes(
+        axes, "dB", "Error against steps" if errors else "Predicted uncertainty against steps"
+    )
+    if names:
+        axes.legend(frameon=False)
+    else:
+        axes.text(
+            0.5, 0.5, "no scores were recorded", transform=axes.transAxes, ha="center", color=_SOFT
+        )
+    _save(figure, path)
+
+
+def rmse_curves(
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]],
+    path: Path,
+    *,
+    title: str = "Error against steps",
+    unit: str = "RMSE in dB",
+) -> None:
+    """One curve per method with its interval as a band; the legend is in the order of the curves'
+    right ends.
+
+    Args:
+        curves: name of the method → (steps, mean, low, high), each of one length; NaN breaks a
+            curve.
+        path: the PNG to write.
+        title: headline of the figure.
+        unit: what stands at the vertical axis.
+
+    Raises:
+        InputError: there is no curve, or the columns of one differ in length.
+    """
+    if not curves:
+        raise InputError("there is no curve to draw; give at least one method")
+    figure = _figure((9.6, 4.8))
+    axes = figure.subplots()
+    lines = []
+    for number, (name, columns) in enumerate(curves.items()):
+        steps, mean, low, high = (np.asarray(column, dtype=float) for column in columns)
+        if not steps.shape == mean.shape == low.shape == high.shape == (len(steps),):
+            raise InputError(
+                f"the curve of {name!r} needs steps, mean, low and high of one length; give four "
+                "equal columns"
+            )
+        colour = _LINE_COLOURS[number % len(_LINE_COLOURS)]
+        style = _LINE_STYLES[number // len(_LINE_COLOURS) % len(_LINE_STYLES)]
+        axes.fill_between(steps, low, high, color=colour, alpha=0.14, lw=0)
+        mark = _MARKERS[number % len(_MARKERS)]
+        # markers start at different points, so that curves which run together still show theirs
+        every = max(1, len(steps) // 8)
+        (line,) = axes.plot(
+            steps,
+            mean,
+            style,
+            color=colour,
+            lw=1.8,
+            marker=mark,
+            ms=5.5,
+            mec="white",
+            mew=0.6,
+            markevery=(number % every, every),
+        )
+        finite = mean[np.isfinite(mean)]
+        lines.append((finite[-1] if finite.size else -np.inf, line, name))
+    lines.sort(key=lambda entry: -entry[0])
+    _curve_axes(axes, unit, title)
+    labels = [
+        f"{_shortened(name)}  {last:.2f}" if np.isfinite(last) else _shortened(name)
+        for last, _, name in lines
+    ]
+    figure.legend(
+        [line for _, line, _ in lines],
+        labels,
+        loc="outside right upper",
+        frameon=False,
+        handlelength=3.2,
+        labelspacing=0.7,
+    )
+    _save(figure, path)
+
+
+def _figure(size: tuple[float, float], outcome: Outcome | None = None) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    if outcome is not None:
+        title = textwrap.fill(
+            _shortened(outcome.title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …"
+        )
+        figure.suptitle(
+            title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=_INK, parse_math=False
+        )
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with atomic_write(path) as tmp:
+        figure.savefig(tmp, format="png", dpi=_DPI)
+
+
+def _map(
+    axes: Axes, outcome: Outcome, values: NDArray[np.float64], title: str, **colours: Any
+) -> Any:
+    """One map with the buildings over it; returns the image for its colour bar."""
+    _frame_axes(axes, outcome)
+    axes.set_title(title, loc="left", color=_INK)
+    image = axes.imshow(
+        values, origin="lower", extent=_extent(outcome.grid), interpolation="nearest", **colours
+    )
+    axes.imshow(
+        _building_shades(outcome),
+        origin="lower",
+        extent=_extent(outcome.grid),
+        interpolation="nearest",
+    )
+    return image
+
+
+def _building_shades(outcome: Outcome) -> NDArray[np.float64]:
+    """``[row, col, rgba]`` grey over the cells that are indoors, darker where the building is
+    higher; clear elsewhere."""
+    height = outcome.scenario.city.height_m
+    indoor = ~outcome.scenario.outdoor
+    shade = np.zeros((*height.shape, 4))
+    if indoor.any():
+        low, high = float(height[indoor].min()), float(height[indoor].max())
+        rank = (height - low) / max(high - low, 1e-9)
+        shade[..., :3] = (0.80 - 0.40 * np.clip(rank, 0, 1))[..., None]
+        shade[..., 3] = indoor
+    return shade
+
+
+def _hatch(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_], hatch: str, colour: str) -> None:
+    """Hatch the cells of ``mask``."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    grid, half = outcome.grid, outcome.grid.spacing_m / 2
+    corners = np.array([(-half, -half), (half, -half), (half, half), (-half, half), (-half, -half)])
+    squares = grid.xy_m(np.argwhere(mask))[:, None] + corners
+    codes = np.tile([Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY], len(squares))
+    axes.add_patch(
+        PathPatch(
+            Outline(squares.reshape(-1, 2), codes),
+            fc="none",
+            ec=colour,
+            lw=0,
+            hatch=hatch,
+            zorder=2,
+        )
+    )
+
+
+def _no_fly(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_]) -> None:
+    """Tint the no-fly cells and draw a line where flying ends; a hatch would drown a map that is
+    mostly no-fly."""
+    from matplotlib.collections import LineCollection
+
+    tint = np.zeros((*mask.shape, 4))
+    tint[mask] = (0.70, 0.15, 0.12, 0.10)
+    axes.imshow(tint, origin="lower", extent=_extent(outcome.grid), interpolation="nearest")
+    grid, half = outcome.grid, outcome.grid.spacing_m / 2
+    upper = grid.xy_m(np.argwhere(mask[1:] != mask[:-1]))[:, None] + [(-half, half), (half, half)]
+    right = grid.xy_m(np.argwhere(mask[:, 1:] != mask[:, :-1]))[:, None] + [
+        (half, -half),
+        (half, half),
+    ]
+    axes.add_collection(
+        LineCollection([*upper, *right], colors="#B3261E", linewidths=0.8, alpha=0.8, zorder=2)
+    )
+
+
+def _thin_paths(axes: Axes, outcome: Outcome) -> None:
+    """The flights, thin enough to leave the map readable."""
+    for cells in outcome.result.swarm.history:
+        x, y = outcome.grid.xy_m(cells).T
+        axes.plot(x, y, color="black", lw=1.5, alpha=0.5, zorder=3)
+        axes.plot(x, y, color="white", lw=0.7, alpha=0.9, zorder=4)
+        axes.plot(x[-1], y[-1], "s", ms=4, color="white", mec="black", mew=0.8, zorder=5)
+
+
+def _transmitter(axes: Axes, outcome: Outcome) -> None:
+    if outcome.transmitter_m is not None and _on_map(outcome):
+        x, y, _ = outcome.transmitter_m
+        axes.plot(x, y, "*", ms=15, color="#FFD23F", mec="black", mew=1.0, zorder=7)
+
+
+def _on_map(outcome: Outcome) -> bool:
+    """Whether the transmitter lies on the map."""
+    west, south, east, north = outcome.grid.bounds_m
+    x, y = outcome.transmitter_m[:2] if outcome.transmitter_m else (np.nan, np.nan)
+    return bool(west <= x <= east and south <= y <= north)
+
+
+def _frame_axes(axes: Axes, outcome: Outcome) -> None:
+    """Metre axes; with a CRS the ticks count from the south-west corner, since eastings run to
+    millions."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    west, south, east, north = outcome.grid.bounds_m
+    axes.set(xlim=(west, east), ylim=(south, north), aspect="equal", facecolor=_GROUND)
+    georeferenced = outcome.grid.crs is not None
+    for axis, start, side, text in (
+        (axes.xaxis, west, east - west, "x east"),
+        (axes.yaxis, south, north - south, "y north"),
+    ):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        if georeferenced:
+            ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, side)
+            axis.set_ticks([start + t for t in ticks if 0 <= t <= side])
+            axis.set_major_formatter(
+                FuncFormatter(lambda value, _, start=start: f"{value - start:g}")
+            )
+        axis.set_label_text(
+            f"{text} in m" + (f" (from {start:.0f})" if georeferenced else ""), color=_SOFT
+        )
+    _quiet(axes)
+
+
+def _curve_axes(axes: Axes, unit: str, title: str) -> None:
+    axes.set_title(title, loc="left", color=_INK)
+    axes.set_xlabel("steps per UAV", color=_SOFT)
+    axes.set_ylabel(unit, color=_SOFT)
+    axes.grid(True, color="#E3E7EB", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.02)
+    axes.spines[["top", "right"]].set_visible(False)
+    _quiet(axes)
+
+
+def _quiet(axes: Axes) -> None:
+    axes.tick_params(color="#B8C0C8", labelcolor=_SOFT, labelsize=9)
+    for spine in axes.spines.values():
+        spine.set_color("#B8C0C8")
+
+
+def _colour_bar(figure: Figure, image: Any, axes: Axes, text: str, extend: str = "neither") -> None:
+    bar = figure.colorbar(image, ax=axes, shrink=0.86, aspect=28, pad=0.02, extend=extend)
+    bar.set_label(text, color=_SOFT)
+    bar.outline.set_edgecolor("#B8C0C8")
+    bar.ax.tick_params(color="#B8C0C8", labelcolor=_SOFT, labelsize=9)
+
+
+def _extent(grid: Any) -> tuple[float, float, float, float]:
+    west, south, east, north = grid.bounds_m
+    return west, east, south, north
+
+
+def _limits(
+    values: NDArray[np.floating], percent: tuple[float, float] = (0, 100)
+) -> tuple[float, float]:
+    """Ends of a colour scale: the given percentiles of the finite values, at least 1 apart."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(finite, percent))
+    return low, max(high, low + 1.0)
+
+
+def _shortened(text: str, longest: int = 48) -> str:
+    """``text`` on one line, cut where it would run out of the picture."""
+    text = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return text if len(text) <= longest else text[: longest - 1] + "…"

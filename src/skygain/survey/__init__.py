@@ -1,0 +1,1 @@
+"""The loop: what is believed, where to fly, what was measured."""

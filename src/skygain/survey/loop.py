@@ -1,0 +1,192 @@
+"""The loop: plan, fly, measure, believe, until the steps are spent or the map is certain enough."""
+
+from __future__ import annotations
+
+__all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult"]
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
+from skygain.instruments.base import Instrument
+from skygain.measurements import Measurements
+from skygain.planners.base import Certificate, Planner
+from skygain.predictors.base import Belief, Predictor
+from skygain.scenario import Scenario
+
+Observer = Callable[[int, Swarm, Belief], None]
+"""called after every step with the steps flown, the swarm and the belief; step 0 is the start"""
+
+
+@dataclass(frozen=True)
+class SurveyConfig:
+    """When a survey ends, and how long a step takes."""
+
+    stop_std_db: float | None = None
+    """end early once the mean predictive standard deviation over outdoor cells is below this;
+    ``None`` flies every step"""
+    stop_every: int = 5
+    """look at that standard deviation every this many steps"""
+    step_duration_s: float = 1.0
+    """time stamp between steps"""
+
+    def __post_init__(self) -> None:
+        if self.stop_std_db is not None and not self.stop_std_db > 0:
+            raise InputError(
+                f"the stopping standard deviation must be above 0 dB, got {self.stop_std_db}; "
+                "leave it out to fly every step"
+            )
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One step of the journal."""
+
+    step: int
+    """steps flown when it was written"""
+    readings: int
+    """readings taken at this step"""
+    planning_s: float
+    """wall time of the decision made before this step, 0 when an earlier plan was still being
+    flown"""
+    planned_steps: int
+    """steps that decision planned, 0 when none was made"""
+    updating_s: float
+    """wall time of the belief's update"""
+    certificate: Certificate | None = None
+    """of the plan made before this step"""
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyResult:
+    """All there is to know about a finished survey."""
+
+    scenario: Scenario
+    """what was known before"""
+    swarm: Swarm
+    """where everybody has been"""
+    measurements: Measurements
+    """every reading, in order"""
+    belief: Belief
+    """what is believed at the end"""
+    stopped: str
+    """``"steps"`` when they were spent, ``"stop-std"`` when the map was certain enough,
+    ``"interrupted"`` by the user"""
+    journal: tuple[StepRecord, ...] = field(repr=False, default=())
+    """one record per step, the start included"""
+
+    @property
+    def timings(self) -> dict[str, float]:
+        """Seconds spent planning and updating, and the decisions made."""
+        return {
+            "planning_s": sum(r.planning_s for r in self.journal),
+            "updating_s": sum(r.updating_s for r in self.journal),
+            "decisions": float(sum(r.planned_steps > 0 for r in self.journal)),
+        }
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A predictor, a planner and an instrument at work in one scenario."""
+
+    scenario: Scenario
+    """the setting"""
+    predictor: Predictor
+    """how measurements become a belief"""
+    planner: Planner
+    """how a belief becomes a flight"""
+    instrument: Instrument
+    """how a flight becomes measurements"""
+    config: SurveyConfig = SurveyConfig()
+    """when to stop"""
+
+    def fly(
+        self, swarm: Swarm, rng: np.random.Generator, observer: Observer | None = None
+    ) -> SurveyResult:
+        """Fly until no UAV has steps left.
+
+        The starting cells are measured first. An interrupt from the keyboard ends the survey after
+        the step under way and returns what has been learnt.
+
+        Args:
+            swarm: the UAVs as deployed.
+            rng: randomness of the planner; the instrument brings its own.
+            observer: see `Observer`.
+
+        Raises:
+            ValueError: the planner returned an illegal path.
+        """
+        belief, readings, record = self._measured(
+            self.predictor.begin(self.scenario), Measurements.none(), swarm, 0.0, 0, None
+        )
+        journal = [record]
+        stopped = "steps"
+        try:
+            if observer:
+                observer(0, swarm, belief)
+            while swarm.flying.any():
+                if self._certain(belief, swarm.steps_flown):
+                    stopped = "stop-std"
+                    break
+                began = time.perf_counter()
+                plan = self.planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
+                planning_s, certificate = time.perf_counter() - began, plan.certificate
+                planned = plan.n_steps
+                if not 1 <= plan.commit_steps <= planned:
+                    raise ValueError(
+                        f"a plan of {planned} steps commits to {plan.commit_steps}; it must fly 1 "
+                        f"to {planned} of them"
+                    )
+                for cells in plan.paths.transpose(1, 0, 2)[1 : plan.commit_steps + 1]:
+                    swarm = swarm.advanced(cells)
+                    belief, readings, record = self._measured(
+                        belief, readings, swarm, planning_s, planned, certificate
+                    )
+                    journal.append(record)
+                    planning_s, planned, certificate = 0.0, 0, None
+                    if observer:
+                        observer(swarm.steps_flown, swarm, belief)
+                    if self._certain(belief, swarm.steps_flown):
+                        break
+        except KeyboardInterrupt:
+            stopped = "interrupted"
+        return SurveyResult(self.scenario, swarm, readings, belief, stopped, tuple(journal))
+
+    def _measured(
+        self,
+        belief: Belief,
+        readings: Measurements,
+        swarm: Swarm,
+        planning_s: float,
+        planned_steps: int,
+        certificate: Certificate | None,
+    ) -> tuple[Belief, Measurements, StepRecord]:
+        """The belief and the readings after measuring where the swarm is; only UAVs that moved (or
+        just started) measure."""
+        step = swarm.steps_flown
+        moved = (
+            np.ones(swarm.n_uavs, dtype=bool)
+            if step == 0
+            else (swarm.history[:, -1] != swarm.history[:, -2]).any(axis=1)
+        )
+        uav = np.flatnonzero(moved)
+        new = self.instrument.measure(
+            swarm.cells[uav], uav=uav, time_s=step * self.config.step_duration_s
+        )
+        began = time.perf_counter()
+        belief = belief.updated(new)
+        record = StepRecord(
+            step, len(new), planning_s, planned_steps, time.perf_counter() - began, certificate
+        )
+        return belief, readings.extended(new), record
+
+    def _certain(self, belief: Belief, step: int) -> bool:
+        if self.config.stop_std_db is None or step % self.config.stop_every:
+            return False
+        return (
+            float(belief.posterior().std_db[self.scenario.outdoor].mean()) < self.config.stop_std_db
+        )

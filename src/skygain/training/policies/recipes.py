@@ -1,0 +1,115 @@
+"""Recipes of policies by name: what `skygain train policy --recipe …` runs."""
+
+from __future__ import annotations
+
+__all__ = ["POLICY_RECIPES", "train_policy"]
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from skygain.environments.rewards import RewardConfig
+from skygain.ground.errors import InputError
+from skygain.networks.checkpoints import load_checkpoint
+from skygain.networks.policies.weights import export_policy
+from skygain.networks.weights import runs_folder
+from skygain.training.policies.dqn import DqnConfig, DqnResult, train_dqn
+from skygain.training.policies.imitation import (
+    SHAPE,
+    ImitationConfig,
+    ImitationResult,
+    train_imitation,
+)
+from skygain.training.run import under
+
+REWARDS_ONLY = DqnConfig(
+    predictor="paper-unet",
+    network="centred",
+    double=True,
+    dueling=True,
+    start="mixed",
+    reward=RewardConfig(explore=0.005, error=0.01, shaping=True, discount=0.99),
+    v_min=-3.0,
+    v_max=16.0,
+    exploration=0.05,
+    learning_rate=1e-4,
+    batch_size=128,
+    learn_every=2,
+    target_every=500,
+    warmup=3000,
+    capacity=300_000,
+    augment=True,
+    bf16=False,
+    split="T1",
+    checkpoint_steps=500,
+)
+
+POLICY_RECIPES: dict[str, DqnConfig | ImitationConfig] = {
+    "paper-dqn": DqnConfig(),
+    "dqn": replace(
+        REWARDS_ONLY,
+        start_from="imitation",
+        demonstrations="imitation",
+        demonstration_weight=0.5,
+        pretraining=300,
+    ),
+    "dqn-rewards-only": REWARDS_ONLY,
+    "imitation": ImitationConfig(),
+}
+"""complete settings but for the paths"""
+
+
+def train_policy(
+    name: str,
+    data: str | Path,
+    out: str | Path | None = None,
+    *,
+    report: Callable[[dict[str, Any]], None] = lambda record: None,
+    **changes: Any,
+) -> DqnResult | ImitationResult:
+    """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is
+    there; ``changes`` override the recipe.
+
+    The policy ends up as ``out/<name>.safetensors`` with a card beside it. Without ``out`` the run
+    lives in `skygain.networks.weights.runs_folder`, where the planners find it.
+
+    Raises:
+        InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
+    """
+    if name not in POLICY_RECIPES:
+        raise InputError(
+            f"unknown policy recipe {name!r}; known: {', '.join(sorted(POLICY_RECIPES))}"
+        )
+    folder = Path(out) if out is not None else runs_folder() / name
+    recipe = POLICY_RECIPES[name]
+    unknown = [key for key in changes if key not in {f.name for f in fields(recipe)}]
+    if unknown:
+        raise InputError(f"the recipe {name!r} has no setting {unknown[0]!r}; leave it out")
+    if isinstance(recipe, DqnConfig):
+        config = replace(recipe, data=str(data), out=str(folder), **changes)
+        result: DqnResult | ImitationResult = train_dqn(config, report)
+        policy = {
+            key: getattr(config, key)
+            for key in ("network", "atoms", "side", "dueling", "v_min", "v_max")
+        }
+    else:
+        result = train_imitation(
+            replace(recipe, data=str(data), out=str(folder), **changes), report
+        )
+        policy = SHAPE
+    tensors, meta = load_checkpoint(result.checkpoint)
+    kept = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
+    for key in ("start_from", "demonstrations"):
+        if key in kept:
+            kept[key] = "/".join(Path(kept[key]).parts[-2:])  # no folder of this machine
+    card = {
+        "name": name,
+        "data": Path(data).name,
+        "policy": policy,
+        "steps": result.step,
+        "scores": result.scores,
+        "recipe": kept,
+    }
+    export_policy(under("network.", tensors), folder / f"{name}.safetensors", card)
+    return result
