@@ -11,9 +11,9 @@ from typing import Any
 
 from skygain.datasets.links import several_paths
 from skygain.ground.errors import InputError
-from skygain.networks.operator.path_model import train_path_model
 from skygain.networks.weights import export_weights, runs_folder
 from skygain.training.judge import train_judge
+from skygain.training.path_model import train_path_model
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.locator import LocatorTask
 from skygain.training.tasks.unets import DirectTask, PaperTask

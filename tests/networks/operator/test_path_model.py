@@ -1,17 +1,11 @@
 """The cheap gain model of one path."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import skygain
 from skygain.networks.operator.features import CHANNELS, fill_cells, operator_inputs
 from skygain.networks.operator.path_model import PathModel
 from skygain.networks.weights import find_weights
-from skygain.training import train_predictor
-
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +44,3 @@ def test_a_wall_costs_gain_and_certainty(shipped):
     )
     assert blocked[0, 0] < clear[0, 0] - 20
     assert unsure[0, 0] > sure[0, 0]
-
-
-def test_training_writes_a_file_that_loads(tmp_path):
-    result = train_predictor("path-model", SAMPLE, tmp_path, rounds=40)
-    again = PathModel.load(result.checkpoint)
-    assert 0 < result.scores["rmse_db"] < 60
-    assert [matrix.shape for matrix, _ in again.layers] == [(13, 48), (48, 48), (48, 2)]
