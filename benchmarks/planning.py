@@ -38,8 +38,9 @@ from numba import njit
 from skygain.city import City
 from skygain.datasets import ChannelDataset, survey_cases
 from skygain.fields.planning import planning_field
+from skygain.flight.moves import MOVES
 from skygain.flight.starts import start_cells
-from skygain.flight.swarm import MOVES, Swarm
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.planners import create_planner

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygain.datasets import ChannelDataset, open_sample, survey_cases
-from skygain.flight.swarm import steps_between
+from skygain.flight.ways import steps_between
 from skygain.ground.errors import InputError
 
 

@@ -6,7 +6,7 @@ import pytest
 from skygain.environments import make, make_single
 from skygain.environments.rewards import RewardConfig
 from skygain.environments.worlds import LinkWorlds
-from skygain.flight.swarm import MOVES
+from skygain.flight.moves import MOVES
 from skygain.ground.errors import InputError
 
 pettingzoo = pytest.importorskip("pettingzoo", reason="the extra 'rl' is not installed")

@@ -6,14 +6,15 @@ import pytest
 from skygain.city import City
 from skygain.flight.airspace import (
     Airspace,
-    distances_within,
     followed,
     is_free_step,
     legal_moves,
     resolve_step,
 )
+from skygain.flight.moves import MOVES
 from skygain.flight.starts import spread_start
-from skygain.flight.swarm import MOVES, FlightRules, Swarm, steps_between
+from skygain.flight.swarm import FlightRules, Swarm
+from skygain.flight.ways import distances_within, steps_between
 from skygain.grid import Grid
 from skygain.scenario import Scenario
 

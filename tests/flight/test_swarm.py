@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from skygain.city import City
 from skygain.flight.starts import cluster_start, spread_start, start_cells
-from skygain.flight.swarm import FlightRules, Swarm, steps_between
+from skygain.flight.swarm import FlightRules, Swarm
+from skygain.flight.ways import steps_between
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 
 from skygain.city import City
-from skygain.flight.swarm import steps_between
+from skygain.flight.ways import steps_between
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.instruments import (

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.flight.swarm import MOVES, FlightRules, Swarm
+from skygain.flight.moves import MOVES
+from skygain.flight.swarm import FlightRules, Swarm
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.measurements import Measurements

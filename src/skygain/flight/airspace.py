@@ -12,9 +12,7 @@ from __future__ import annotations
 
 __all__ = [
     "Airspace",
-    "bfs",
     "blocked_home",
-    "distances_within",
     "followed",
     "home_margins",
     "is_free_step",
@@ -31,13 +29,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from skygain.flight.moves import DCOL, DROW, Cells
 from skygain.flight.swarm import Swarm
+from skygain.flight.ways import fill_steps
 from skygain.ground.errors import InputError
 
-Cells = NDArray[np.int64]
-
-DROW = np.array([1, 0, -1, 0])
-DCOL = np.array([0, 1, 0, -1])
 _SEARCH_LIMIT = (
     20_000  # joint choices tried when every UAV must still get home; met only in crowded corridors
 )
@@ -74,50 +70,6 @@ class Airspace(NamedTuple):
             bool(swarm.rules.separate),
             float(swarm.rules.min_distance_m / swarm.spacing_m),
         )
-
-
-@njit(cache=True)
-def bfs(flyable, row, col, out, queue):
-    """Fill ``out[row, col]`` with the fewest moves from (row, col), −1 where there is no way;
-    return how many cells were reached.
-
-    ``queue`` (int64, one entry per cell) holds the reached cells in breadth-first order afterwards.
-    """
-    rows, cols = flyable.shape
-    out[:] = -1
-    out[row, col] = 0
-    queue[0] = row * cols + col
-    head, tail = 0, 1
-    while head < tail:
-        r, c = queue[head] // cols, queue[head] % cols
-        head += 1
-        for m in range(4):
-            i, j = r + DROW[m], c + DCOL[m]
-            if 0 <= i < rows and 0 <= j < cols and flyable[i, j] and out[i, j] < 0:
-                out[i, j] = out[r, c] + 1
-                queue[tail] = i * cols + j
-                tail += 1
-    return tail
-
-
-def distances_within(flyable: NDArray[np.bool_], start: Cells, steps: int) -> NDArray[np.int32]:
-    """``[row, col]`` fewest moves from ``start``, −1 where ``steps`` moves do not suffice; costs
-    the same on a map of any size."""
-    top, west = np.maximum(start - steps, 0)
-    window = np.ascontiguousarray(flyable[top : start[0] + steps + 1, west : start[1] + steps + 1])
-    inside = np.empty(window.shape, dtype=np.int32)
-    bfs(
-        window,
-        int(start[0] - top),
-        int(start[1] - west),
-        inside,
-        np.empty(inside.size, dtype=np.int64),
-    )
-    distance = np.full(flyable.shape, -1, dtype=np.int32)
-    distance[top : start[0] + steps + 1, west : start[1] + steps + 1] = np.where(
-        inside <= steps, inside, -1
-    )
-    return distance
 
 
 @njit(cache=True)
@@ -339,13 +291,13 @@ def _fly_routes(start, left, horizon, route, begin, margin, air):
                 target[u] = -1
             elif target[u] < 0 and at[u] + 1 < begin[u + 1]:
                 # rejoin where the least time is lost, a few cells ahead
-                bfs(air.flyable, now[u, 0], now[u, 1], scratch, queue)
+                fill_steps(air.flyable, now[u, 0], now[u, 1], scratch, queue)
                 best = 1 << 30
                 for k in range(at[u] + 1, min(at[u] + 9, begin[u + 1])):
                     delay = scratch[route[k, 0], route[k, 1]] - (k - at[u])
                     if delay < best:
                         best, target[u] = delay, k
-                bfs(air.flyable, route[target[u], 0], route[target[u], 1], fields[u], queue)
+                fill_steps(air.flyable, route[target[u], 0], route[target[u], 1], fields[u], queue)
             for m in range(4):
                 row, col = now[u, 0] + DROW[m], now[u, 1] + DCOL[m]
                 score[u, m] = -1e9

@@ -7,7 +7,7 @@ __all__ = ["STARTS", "cluster_start", "spread_start", "start_cells"]
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.flight.swarm import steps_between
+from skygain.flight.ways import steps_between
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
 

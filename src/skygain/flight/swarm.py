@@ -7,7 +7,7 @@ UAV hovers only when every move is blocked, and it is out of the air once its st
 
 from __future__ import annotations
 
-__all__ = ["MOVES", "FlightRules", "Swarm", "steps_between"]
+__all__ = ["FlightRules", "Swarm"]
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,13 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skygain.flight.moves import MOVES, Cells
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
-
-Cells = NDArray[np.int64]
-
-MOVES: Cells = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-"""``[4, (row, col)]`` the moves north, east, south, west"""
 
 
 @dataclass(frozen=True)
@@ -34,26 +30,6 @@ class FlightRules:
     """horizontal distance between any two UAVs in the air at every step, on top of ``separate``"""
     return_to_start: bool = False
     """a UAV never flies so far that its remaining steps cannot bring it back to its first cell"""
-
-
-def steps_between(flyable: NDArray[np.bool_], start: ArrayLike) -> NDArray[np.int32]:
-    """``[row, col]`` fewest moves from ``start`` through flyable cells; −1 where there is no
-    way."""
-    steps = np.full(flyable.shape, -1, dtype=np.int32)
-    front = np.zeros_like(flyable)
-    front[tuple(np.asarray(start))] = True
-    reached, count = front.copy(), 0
-    while front.any():
-        steps[front] = count
-        grown = np.zeros_like(front)
-        grown[1:] |= front[:-1]
-        grown[:-1] |= front[1:]
-        grown[:, 1:] |= front[:, :-1]
-        grown[:, :-1] |= front[:, 1:]
-        front = grown & flyable & ~reached
-        reached |= front
-        count += 1
-    return steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +90,8 @@ class Swarm:
             )
         home = None
         if rules.return_to_start:
+            from skygain.flight.ways import steps_between  # compiled, and seldom needed
+
             home = np.stack([steps_between(scenario.flyable, c) for c in cells])
         swarm = cls(
             scenario.flyable, scenario.grid.spacing_m, cells[:, None], steps_left, rules, home

@@ -28,14 +28,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.fields.planning import FALLBACK_RANGE_M, PlanningField, planning_field
-from skygain.flight.airspace import Airspace, Cells
+from skygain.flight.airspace import Airspace
+from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.planners.search.joint_paths import (
     LOG_2_PI_E,
-    MOVE_STEPS,
+    TURNED_MOVES,
     allowed_squares,
     kernel_rewards,
     place_rewards,
@@ -214,5 +215,5 @@ def _read_off(start, steps, allowed, values, begin, rewards, rng):  # type: igno
             return None
         chosen = rng.choice(np.flatnonzero(gain >= best - TIE_NATS))
         place = to[chosen]
-        paths[:, t + 1] = paths[:, t] + MOVE_STEPS[moves[chosen]]
+        paths[:, t + 1] = paths[:, t] + TURNED_MOVES[moves[chosen]]
     return paths

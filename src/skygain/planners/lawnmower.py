@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.flight.airspace import Cells
+from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.planners.base import Plan, Planner
 from skygain.planners.search.sweep import Pattern, Region, sweep

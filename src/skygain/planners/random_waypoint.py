@@ -15,15 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from skygain.flight.airspace import (
-    DCOL,
-    DROW,
-    Airspace,
-    Cells,
-    blocked_home,
-    home_margins,
-    resolve_step,
-)
+from skygain.flight.airspace import Airspace, blocked_home, home_margins, resolve_step
+from skygain.flight.moves import DCOL, DROW, Cells
 from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner

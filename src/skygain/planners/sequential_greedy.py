@@ -32,7 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.fields.planning import PlanningField, planning_field
-from skygain.flight.airspace import Airspace, Cells, followed
+from skygain.flight.airspace import Airspace, followed
+from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner

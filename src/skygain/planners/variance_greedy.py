@@ -24,15 +24,14 @@ import numpy as np
 from numba import njit
 
 from skygain.flight.airspace import (
-    DCOL,
-    DROW,
     Airspace,
-    bfs,
     blocked_home,
     home_margins,
     resolve_step,
 )
+from skygain.flight.moves import DCOL, DROW
 from skygain.flight.swarm import Swarm
+from skygain.flight.ways import fill_steps
 from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
 from skygain.planners.random_waypoint import RandomWaypointPlanner
@@ -79,7 +78,7 @@ def _away_values(flyable, row, col, steps, variance, distance, value, queue):
     """Fill ``distance`` from (row, col) and the value of moving away from there within ``steps``
     moves."""
     rows, cols = flyable.shape
-    reached = bfs(flyable, row, col, distance, queue)
+    reached = fill_steps(flyable, row, col, distance, queue)
     for k in range(reached - 1, -1, -1):  # breadth-first order backwards: farthest cells first
         r, c = queue[k] // cols, queue[k] % cols
         value[r, c] = 0.0

@@ -14,6 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.flight.moves import DCOL, DROW
+from skygain.flight.ways import breadth_first
+
 MAX_STARTS = 1000
 
 
@@ -52,37 +55,22 @@ def _below(state, n):  # type: ignore[no-untyped-def]
 def _cluster(free, side, n_uavs, state, cells):  # type: ignore[no-untyped-def]
     rows, cols = free.shape
     side = min(side, rows, cols)
-    stack = np.empty((side * side, 2), dtype=np.int64)
+    steps, queue = np.empty(side * side, dtype=np.int64), np.empty(side * side, dtype=np.int64)
+    unkept = np.empty(0, dtype=np.int64)
     for _ in range(MAX_STARTS):
         r0, c0 = _below(state, rows - side + 1), _below(state, cols - side + 1)
-        r, c = r0 + _below(state, side), c0 + _below(state, side)
-        if not free[r, c]:
+        r, c = _below(state, side), _below(state, side)
+        if not free[r0 + r, c0 + c]:
             continue
-        seen = np.zeros((side, side), dtype=np.bool_)
-        seen[r - r0, c - c0] = True
-        stack[0, 0], stack[0, 1] = r, c
-        done, count = 0, 1
-        while done < count:
-            r, c = stack[done, 0], stack[done, 1]
-            done += 1
-            for m in range(4):
-                nr, nc = r + (1, 0, -1, 0)[m], c + (0, 1, 0, -1)[m]
-                if (
-                    r0 <= nr < r0 + side
-                    and c0 <= nc < c0 + side
-                    and free[nr, nc]
-                    and not seen[nr - r0, nc - c0]
-                ):
-                    seen[nr - r0, nc - c0] = True
-                    stack[count, 0], stack[count, 1] = nr, nc
-                    count += 1
+        square = free[r0 : r0 + side, c0 : c0 + side]
+        steps[:] = -1
+        count = breadth_first(square, np.array([r * side + c]), -1, steps, unkept, queue)
         if count < n_uavs:
             continue
         for u in range(n_uavs):  # a partial shuffle draws without replacement
             k = u + _below(state, count - u)
-            for axis in range(2):
-                stack[u, axis], stack[k, axis] = stack[k, axis], stack[u, axis]
-                cells[u, axis] = stack[u, axis]
+            queue[u], queue[k] = queue[k], queue[u]
+            cells[u, 0], cells[u, 1] = r0 + queue[u] // side, c0 + queue[u] % side
         return True
     return False
 
@@ -102,7 +90,7 @@ def _fly(free, lengths, repeat, side, seed, paths):  # type: ignore[no-untyped-d
                 legal = np.zeros(4, dtype=np.bool_)
                 count = 0
                 for m in range(4):
-                    nr, nc = r + (1, 0, -1, 0)[m], c + (0, 1, 0, -1)[m]
+                    nr, nc = r + DROW[m], c + DCOL[m]
                     if 0 <= nr < rows and 0 <= nc < cols and free[nr, nc]:
                         legal[m] = True
                         count += 1
@@ -115,7 +103,7 @@ def _fly(free, lengths, repeat, side, seed, paths):  # type: ignore[no-untyped-d
                                     last = m
                                     break
                                 k -= 1
-                    r, c = r + (1, 0, -1, 0)[last], c + (0, 1, 0, -1)[last]
+                    r, c = r + DROW[last], c + DCOL[last]
             paths[u, t, 0], paths[u, t, 1] = r, c
     return True
 
@@ -147,33 +135,6 @@ def random_waypoints(
 
 
 @numba.njit(cache=True, nogil=True)
-def _steps_from(free, sources, steps, before, queue):  # type: ignore[no-untyped-def]
-    """Fewest moves from any of ``sources`` to every free cell (-1: none), and the raveled cell
-    before it on the way."""
-    rows, cols = free.shape
-    steps[:] = -1
-    count = 0
-    for k in sources:
-        if steps[k // cols, k % cols] < 0:
-            steps[k // cols, k % cols] = 0
-            before[k // cols, k % cols] = k
-            queue[count] = k
-            count += 1
-    done = 0
-    while done < count:
-        k = queue[done]
-        done += 1
-        r, c = k // cols, k % cols
-        for m in range(4):
-            nr, nc = r + (1, 0, -1, 0)[m], c + (0, 1, 0, -1)[m]
-            if 0 <= nr < rows and 0 <= nc < cols and free[nr, nc] and steps[nr, nc] < 0:
-                steps[nr, nc] = steps[r, c] + 1
-                before[nr, nc] = k
-                queue[count] = nr * cols + nc
-                count += 1
-
-
-@numba.njit(cache=True, nogil=True)
 def _cover(free, n_steps, reach, thrift, side, seed, paths):  # type: ignore[no-untyped-def]
     rows, cols = free.shape
     state = _seeded(seed)
@@ -185,29 +146,30 @@ def _cover(free, n_steps, reach, thrift, side, seed, paths):  # type: ignore[no-
     for u in range(n_uavs):
         taken[known] = paths[u, 0, 0] * cols + paths[u, 0, 1]
         known += 1
-    away, own = np.empty((rows, cols), dtype=np.int64), np.empty((rows, cols), dtype=np.int64)
-    before, queue = np.empty((rows, cols), dtype=np.int64), np.empty(rows * cols, dtype=np.int64)
+    away, own = np.empty(rows * cols, dtype=np.int64), np.empty(rows * cols, dtype=np.int64)
+    before, queue = np.empty(rows * cols, dtype=np.int64), np.empty(rows * cols, dtype=np.int64)
     route, left = np.empty((n_uavs, rows * cols), dtype=np.int64), np.zeros(n_uavs, dtype=np.int64)
     for t in range(1, n_steps + 1):
         for u in range(n_uavs):
             here = paths[u, t - 1, 0] * cols + paths[u, t - 1, 1]
             if left[u] == 0:
-                _steps_from(free, taken[:known], away, before, queue)
+                away[:] = -1
+                breadth_first(free, taken[:known], -1, away, before, queue)
+                own[:] = -1
                 taken[known] = here
-                _steps_from(free, taken[known : known + 1], own, before, queue)
+                breadth_first(free, taken[known : known + 1], -1, own, before, queue)
                 best, goal = -1e9, here
-                for r in range(rows):
-                    for c in range(cols):
-                        if own[r, c] > 0 and away[r, c] > 0:
-                            value = min(away[r, c], reach) - thrift * own[r, c] + _uniform(state)
-                            if value > best:
-                                best, goal = value, r * cols + c
+                for k in range(rows * cols):
+                    if own[k] > 0 and away[k] > 0:
+                        value = min(away[k], reach) - thrift * own[k] + _uniform(state)
+                        if value > best:
+                            best, goal = value, k
                 taken[known] = goal  # nobody else need go there
                 known += 1
                 while goal != here:
                     route[u, left[u]] = goal
                     left[u] += 1
-                    goal = before[goal // cols, goal % cols]
+                    goal = before[goal]
             if left[u] > 0:
                 left[u] -= 1
                 here = route[u, left[u]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skygain.flight.swarm import MOVES
+from skygain.flight.moves import MOVES
 from skygain.ground.errors import InputError
 from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
 from skygain.networks.policies.inputs import (

@@ -30,7 +30,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from skygain.flight.swarm import MOVES, Swarm
+from skygain.flight.moves import MOVES
+from skygain.flight.swarm import Swarm
 
 NEAR, FAR, BLOCK = 33, 27, 7
 NEAR_CHANNELS = ("std", "mean", "flyable", "height", "measured", "others")

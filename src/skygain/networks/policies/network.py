@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from skygain.flight.moves import N_MOVES
 from skygain.ground.errors import InputError
 from skygain.networks.policies.inputs import (
     FAR_CHANNELS,
@@ -26,8 +27,6 @@ from skygain.networks.policies.inputs import (
     turned_view,
 )
 from skygain.networks.policies.planes import PLANES, planes
-
-MOVES = 4
 
 
 class PaperQNetwork(nn.Module):
@@ -63,7 +62,7 @@ class PaperQNetwork(nn.Module):
             nn.ReLU(),
             nn.Linear(256, 40),
             nn.ReLU(),
-            nn.Linear(40, MOVES * atoms),
+            nn.Linear(40, N_MOVES * atoms),
         )
 
     def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
@@ -96,7 +95,7 @@ class PaperQNetwork(nn.Module):
         return (self.inputs(seen, symmetry) for symmetry in range(count))
 
     def forward(self, x: Tensor) -> Tensor:
-        return self.head(self.features(x).flatten(1)).float().view(-1, MOVES, self.atoms)
+        return self.head(self.features(x).flatten(1)).float().view(-1, N_MOVES, self.atoms)
 
 
 class CentredNetwork(nn.Module):
@@ -117,7 +116,7 @@ class CentredNetwork(nn.Module):
             nn.Linear(256, 128),
             nn.ReLU(),
         )
-        self.head = nn.Linear(128, MOVES * atoms)
+        self.head = nn.Linear(128, N_MOVES * atoms)
         self.value = nn.Linear(128, atoms) if dueling else None
 
     def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
@@ -133,7 +132,7 @@ class CentredNetwork(nn.Module):
         x = self.body(
             torch.cat([self.near(near).flatten(1), self.far(far).flatten(1), numbers], dim=1)
         )
-        out = self.head(x).float().view(-1, MOVES, self.atoms)
+        out = self.head(x).float().view(-1, N_MOVES, self.atoms)
         if self.value is None:
             return out
         return out - out.mean(dim=1, keepdim=True) + self.value(x).float()[:, None]

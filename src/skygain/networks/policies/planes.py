@@ -14,7 +14,7 @@ __all__ = ["PLANES", "action_masks", "packed_height", "packed_mean", "packed_std
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skygain.flight.swarm import MOVES
+from skygain.flight.moves import MOVES
 
 PLANES = ("mean", "std", "height", "positions", "own")
 """names of the planes, in order"""

@@ -31,8 +31,9 @@ import numpy as np
 from numba import njit
 
 from skygain.fields.planning import Conditioned, PlanningField
-from skygain.flight.airspace import DCOL, DROW, Cells, distances_within
+from skygain.flight.moves import DCOL, DROW, Cells
 from skygain.flight.swarm import Swarm
+from skygain.flight.ways import distances_within
 from skygain.ground.errors import InputError
 from skygain.planners.base import Certificate
 from skygain.planners.random_waypoint import RandomWaypointPlanner

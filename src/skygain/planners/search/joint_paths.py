@@ -17,7 +17,7 @@ the path is read off forwards with double-precision rewards.
 from __future__ import annotations
 
 __all__ = [
-    "MOVE_STEPS",
+    "TURNED_MOVES",
     "allowed_squares",
     "state_count",
     "step_rewards",
@@ -29,7 +29,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-MOVE_STEPS = np.array([[-1, 0], [0, -1], [0, 1], [1, 0]])
+from skygain.flight.moves import MOVES
+
+TURNED_MOVES = MOVES[[2, 3, 1, 0]]
 """``[move, (row, col)]`` of the moves (0, 0), (0, 1), (1, 0), (1, 1) in turned coordinates: south,
 west, east, north"""
 LOG_2_PI_E = float(np.log(2 * np.pi * np.e))
@@ -141,10 +143,10 @@ def find_forbidden(now, separate, min_cells, out):
         for v in range(u + 1, n):
             for m in range(4):
                 for k in range(4):
-                    row, col = now[u, 0] + MOVE_STEPS[m, 0], now[u, 1] + MOVE_STEPS[m, 1]
+                    row, col = now[u, 0] + TURNED_MOVES[m, 0], now[u, 1] + TURNED_MOVES[m, 1]
                     other_row, other_col = (
-                        now[v, 0] + MOVE_STEPS[k, 0],
-                        now[v, 1] + MOVE_STEPS[k, 1],
+                        now[v, 0] + TURNED_MOVES[k, 0],
+                        now[v, 1] + TURNED_MOVES[k, 1],
                     )
                     clash = False
                     if separate:
@@ -170,8 +172,8 @@ def _fill_kernel(now, kernel, cells, cov):
     for u in range(n):
         cells[u] = now[u]
         for m in range(4):
-            cells[n + 4 * u + m, 0] = now[u, 0] + MOVE_STEPS[m, 0]
-            cells[n + 4 * u + m, 1] = now[u, 1] + MOVE_STEPS[m, 1]
+            cells[n + 4 * u + m, 0] = now[u, 0] + TURNED_MOVES[m, 0]
+            cells[n + 4 * u + m, 1] = now[u, 1] + TURNED_MOVES[m, 1]
     for i in range(5 * n):
         for j in range(i + 1):
             value = kernel[abs(cells[i, 0] - cells[j, 0]), abs(cells[i, 1] - cells[j, 1])]
@@ -201,13 +203,13 @@ def place_rewards(now, places, posterior, floor, separate, min_cells, shift, cov
         u = i if i < n else (i - n) // 4
         row, col = now[u, 0], now[u, 1]
         if i >= n:
-            row, col = row + MOVE_STEPS[(i - n) % 4, 0], col + MOVE_STEPS[(i - n) % 4, 1]
+            row, col = row + TURNED_MOVES[(i - n) % 4, 0], col + TURNED_MOVES[(i - n) % 4, 1]
         here = places[row, col] if 0 <= row < places.shape[0] and 0 <= col < places.shape[1] else -1
         for j in range(i + 1):
             v = j if j < n else (j - n) // 4
             row, col = now[v, 0], now[v, 1]
             if j >= n:
-                row, col = row + MOVE_STEPS[(j - n) % 4, 0], col + MOVE_STEPS[(j - n) % 4, 1]
+                row, col = row + TURNED_MOVES[(j - n) % 4, 0], col + TURNED_MOVES[(j - n) % 4, 1]
             there = (
                 places[row, col]
                 if 0 <= row < places.shape[0] and 0 <= col < places.shape[1]

@@ -37,7 +37,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from skygain.flight.airspace import DCOL, DROW, Airspace, keeps_apart, may_enter
+from skygain.flight.airspace import Airspace, keeps_apart, may_enter
+from skygain.flight.moves import DCOL, DROW
 
 VARIANCE, ENTROPY, MUTUAL_INFORMATION = 0, 1, 2
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from skygain.fields.planning import Conditioned, PlanningField
-from skygain.flight.airspace import Cells, distances_within
+from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
+from skygain.flight.ways import distances_within
 from skygain.planners.search.path_search import MUTUAL_INFORMATION, VARIANCE, Reach
 
 Floats = NDArray[np.float32]

@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import linear_sum_assignment
 
-from skygain.flight.airspace import DCOL, DROW, Cells, bfs, followed
+from skygain.flight.airspace import followed
+from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
+from skygain.flight.ways import breadth_first, steps_between
 
 
 class Region(NamedTuple):
@@ -72,31 +74,23 @@ def _split(free: NDArray[np.bool_], region: Region, parts: int, how: str) -> lis
 
 
 @njit(cache=True)
-def _way(flyable, row, col, goal_row, goal_col, came, queue, out, length):
-    """Append the cells of a shortest way to the goal to ``out`` from ``length`` on; returns the new
-    length."""
-    rows, cols = flyable.shape
-    start, goal = row * cols + col, goal_row * cols + goal_col
-    came[goal] = goal  # searched from the goal, so that the way reads forwards
-    queue[0] = goal
-    head, tail = 0, 1
-    while head < tail and came[start] < 0:
-        here = queue[head]
-        head += 1
-        for m in range(4):
-            i, j = here // cols + DROW[m], here % cols + DCOL[m]
-            if 0 <= i < rows and 0 <= j < cols and flyable[i, j] and came[i * cols + j] < 0:
-                came[i * cols + j] = here
-                queue[tail] = i * cols + j
-                tail += 1
-    if came[start] >= 0:
+def _way(flyable, start, goal, steps, came, queue, out, length):
+    """Append the cells of a shortest way between raveled cells to ``out`` from ``length`` on;
+    returns the new length.
+
+    ``steps`` and ``queue`` are the search's buffers; ``steps`` is −1 everywhere, before and after.
+    """
+    cols = flyable.shape[1]
+    # searched from the goal, so that the way reads forwards
+    reached = breadth_first(flyable, np.array([goal]), start, steps, came, queue)
+    if steps[start] >= 0:
         here = start
         while here != goal and length < len(out):
             here = came[here]
             out[length, 0], out[length, 1] = here // cols, here % cols
             length += 1
-    for k in range(tail):
-        came[queue[k]] = -1
+    for k in range(reached):
+        steps[queue[k]] = -1
     return length
 
 
@@ -107,7 +101,9 @@ def _route(flyable, reachable, start, passing, limit):
     out = np.empty((limit + 1, 2), dtype=np.int64)
     out[0] = start
     length = 1
-    came = np.full(flyable.size, -1, dtype=np.int64)
+    cols = flyable.shape[1]
+    steps = np.full(flyable.size, -1, dtype=np.int64)
+    came = np.empty(flyable.size, dtype=np.int64)
     queue = np.empty(flyable.size, dtype=np.int64)
     for k in range(len(passing)):
         row, col = passing[k]
@@ -116,7 +112,8 @@ def _route(flyable, reachable, start, passing, limit):
             break
         if not reachable[row, col] or (row == at_row and col == at_col):
             continue
-        length = _way(flyable, at_row, at_col, row, col, came, queue, out, length)
+        here, goal = at_row * cols + at_col, row * cols + col
+        length = _way(flyable, here, goal, steps, came, queue, out, length)
     return out[:length]
 
 
@@ -152,7 +149,7 @@ def _tracks(
     transit = np.empty((swarm.n_uavs, len(regions)))
     for u in range(swarm.n_uavs):
         field = np.where(
-            reachable[u], _distances(swarm.flyable, swarm.cells[u]), swarm.flyable.size
+            reachable[u], steps_between(swarm.flyable, swarm.cells[u]), swarm.flyable.size
         )
         for g, (row, row_end, col, col_end) in enumerate(regions):
             transit[u, g] = field[row:row_end, col:col_end].min()
@@ -178,17 +175,11 @@ def _tracks(
         variant += 1
 
 
-def _distances(flyable: NDArray[np.bool_], cell: Cells) -> NDArray[np.int32]:
-    field = np.empty(flyable.shape, dtype=np.int32)
-    bfs(flyable, int(cell[0]), int(cell[1]), field, np.empty(flyable.size, dtype=np.int64))
-    return field
-
-
 def sweep(swarm: Swarm, pattern: Pattern, horizon: int) -> Cells:
     """``[uav, horizon + 1, (row, col)]`` legal paths of the best coordinated sweep of ``horizon``
     steps."""
     limits = np.minimum(horizon, swarm.steps_left)
-    reachable = np.stack([_distances(swarm.flyable, cell) >= 0 for cell in swarm.cells])
+    reachable = np.stack([steps_between(swarm.flyable, cell) >= 0 for cell in swarm.cells])
     anywhere = np.asarray(reachable.any(axis=0))
     best: tuple[float, list[Cells]] | None = None
     for how in ("rows", "cols", "halves") if swarm.n_uavs > 1 else ("rows",):

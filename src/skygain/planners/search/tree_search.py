@@ -14,7 +14,8 @@ __all__ = ["tree_path"]
 import numpy as np
 from numba import njit
 
-from skygain.flight.airspace import DCOL, DROW, Airspace, may_enter
+from skygain.flight.airspace import Airspace, may_enter
+from skygain.flight.moves import DCOL, DROW
 from skygain.planners.search.path_search import Reach, Traffic, is_clear, path_value
 
 EXPLORATION = 0.3
