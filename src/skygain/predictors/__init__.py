@@ -28,6 +28,10 @@ PREDICTORS.register("unet", "skygain.predictors.networks.unet:UNetPredictor")
 PREDICTORS.register(
     "residual-kriging", "skygain.predictors.kriging.residual:ResidualKrigingPredictor"
 )
+PREDICTORS.register("sklearn-gp", "skygain.predictors.rivals.sklearn_gp:ScikitLearnPredictor")
+PREDICTORS.register("pykrige", "skygain.predictors.rivals.pykrige:PyKrigePredictor")
+PREDICTORS.register("gstools", "skygain.predictors.rivals.gstools:GSToolsPredictor")
+PREDICTORS.register("gpytorch", "skygain.predictors.rivals.gpytorch:GPyTorchPredictor")
 
 
 def create_predictor(name: str, **options: Any) -> Predictor:

@@ -1,0 +1,1 @@
+"""Other people's Kriging, as predictors: scikit-learn, PyKrige, GSTools, GPyTorch."""
