@@ -23,7 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from skygain.evaluation.comparison import Comparison, ComparisonConfig, compare
+from skygain.evaluation.comparison import Comparison, compare
+from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.statistics import bootstrap_mean, city_weights
 
 KNOWN, INFERRED, BLIND = "kriging", "kriging-inferred", "kriging-blind"
@@ -68,18 +69,18 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", type=Path, default=Path("surveys/transmitter-inference"))
     options = parser.parse_args()
-    config = ComparisonConfig(
-        (KNOWN, INFERRED, BLIND),
-        PLANNERS,
-        options.data,
+    request = EvaluateRequest(
+        predictors=(KNOWN, INFERRED, BLIND),
+        planners=PLANNERS,
+        data=options.data,
         split=options.split,
         max_surveys=options.surveys,
         record_every=50,
+        workers=options.workers,
+        out=options.folder,
     )
     comparison = compare(
-        config,
-        options.folder,
-        workers=options.workers,
+        request,
         progress=lambda done, total, _: print(f"{done}/{total}", flush=True),
     )
     rows = [recovered(comparison, planner, step) for planner in PLANNERS for step in STEPS]

@@ -5,20 +5,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skygain.evaluation.comparison import ComparisonConfig, compare
+from skygain.evaluation.comparison import compare
+from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.statistics import bootstrap_mean
 
 
 def main() -> None:
-    config = ComparisonConfig(
+    request = EvaluateRequest(
         predictors=("kriging",),
         planners=("random-waypoint", "lawnmower"),
         data="sample",
         steps=60,
         record_every=20,
+        workers=1,
+        out=Path("comparison"),
     )
-    comparison = compare(config, Path("comparison"), workers=1)
-    random, lawnmower = (comparison.scores[method.label]["rmse_db"] for method in config.methods)
+    comparison = compare(request)
+    random, lawnmower = (comparison.scores[method.label]["rmse_db"] for method in request.pairs)
     for k, step in enumerate(comparison.steps):
         print(
             f"after {step} steps: lawnmower minus random "

@@ -6,6 +6,7 @@ import pytest
 
 from skygain.app import doctor
 from skygain.app.doctor import Check, diagnose, render
+from skygain.app.requests import DoctorRequest
 
 
 def test_what_is_here_is_ok_and_named_with_its_release() -> None:
@@ -48,8 +49,7 @@ def test_without_the_ray_tracer_doctor_is_healthy_and_says_how_to_get_it(
     monkeypatch.setattr(importlib.metadata, "version", version)
     monkeypatch.setattr(doctor, "EXTRAS", {"raytrace": ("sionna-rt",)})
     monkeypatch.setattr("skygain.propagation.sionna.require", _not_installed)
-    text, healthy = doctor.report()
-    assert healthy
+    text = doctor.run_doctor(DoctorRequest())
     assert "pip install 'skygain[raytrace]'" in text
     assert "two-box scene" not in text
 

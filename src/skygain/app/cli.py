@@ -1,4 +1,4 @@
-"""The command line: parses, calls, prints.
+"""The command line, made from the requests: options, help, completion, errors.
 
 Anything the user can put right ends in one line on standard error and exit code 2; an unexpected
 exception is a bug and shows its traceback.
@@ -6,529 +6,210 @@ exception is a bug and shows its traceback.
 
 from __future__ import annotations
 
-__all__ = ["app", "main"]
+__all__ = ["command_line", "for_command_line", "main"]
 
+import importlib
+import inspect
+import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import MISSING
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Any
 
-import typer
+import click
 
 import skygain
-from skygain.ground.errors import InputError
+from skygain.app.config import read_config
+from skygain.app.requests import COMMANDS
+from skygain.ground.declared import Asked, Request
+from skygain.ground.errors import InputError, did_you_mean
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-app = typer.Typer(
-    help="Map a radio transmitter's channel gain over a city with a swarm of UAVs.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-dataset_app = typer.Typer(
-    help="Build and inspect data sets of ray-traced cities.", no_args_is_help=True
-)
-train_app = typer.Typer(help="Train what the package ships trained.", no_args_is_help=True)
-app.add_typer(dataset_app, name="dataset")
-app.add_typer(train_app, name="train")
+_GROUPS = {
+    "dataset": "Build and inspect data sets of ray-traced cities.",
+    "train": "Train what the package ships trained.",
+}
+_METAVARS = {bool: "", int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", dict[str, str]: "K=V"}
 
 
 def main() -> None:
     """Entry point of the ``skygain`` command."""
     try:
-        app()
-    except InputError as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(command_line().main(standalone_mode=False, prog_name="skygain"))
+    except (InputError, click.ClickException) as error:
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        print(f"error: {' '.join(text.split())}", file=sys.stderr)
         sys.exit(2)
+    except (click.Abort, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
 
 
-def _show_version(value: bool) -> None:
-    if value:
-        print(f"skygain {skygain.__version__}")
-        raise typer.Exit
+def command_line() -> click.Group:
+    """The whole command, with one subcommand for each of `COMMANDS`."""
+    top = _Group(
+        "skygain",
+        help="Map a radio transmitter's channel gain over a city with a swarm of UAVs.",
+        epilog='Shell completion: eval "$(_SKYGAIN_COMPLETE=bash_source skygain)", or zsh, fish.',
+    )
+    click.version_option(skygain.__version__, message="skygain %(version)s")(top)
+    for words, request in COMMANDS.items():
+        *above, name = words.split()
+        group = top
+        for word in above:
+            group = group.commands.setdefault(word, _Group(word, help=_GROUPS[word]))  # type: ignore[assignment]
+        group.add_command(_command(name, request))
+    return top
 
 
-@app.callback()
-def _options(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version."),
-    ] = False,
-) -> None:
-    pass
+def for_command_line(text: str, request: type[Request]) -> str:
+    """``text`` with the parameters in backticks written as options of ``request``'s command.
+
+    >>> from skygain.app.requests import SurveyRequest
+    >>> for_command_line("give `uavs=1`, or `overwrite=True`", SurveyRequest)
+    'give --uavs 1, or --overwrite'
+    """
+    asked = {one.name: one for one in request.asked()}
+
+    def written(match: re.Match[str]) -> str:
+        name, value = match["name"], match["value"]
+        if name not in asked:
+            return match[0].strip("`")
+        one = asked[name]
+        if one.argument:
+            return name.upper() if value is None else value
+        if one.kind is bool:
+            return f"--no-{one.flag}" if value == "False" else f"--{one.flag}"
+        return f"--{one.flag}" if value is None else f"--{one.flag} {value}"
+
+    return re.sub(r"`(?P<name>\w+)(?:=(?P<value>[^`]*))?`", written, text)
 
 
-@contextmanager
-def _progress(label: str) -> Iterator[Callable[[int, int, str], None]]:
-    """A progress bar on standard error with time left: call it with (done, total, text)."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
+class _Group(click.Group):
+    """A group that lists its commands in our order and suggests a name for a misspelt one."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, no_args_is_help=True, **options)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            raise InputError(f"no command {args[0]!r}; {did_you_mean(args[0], self.commands)}")
+        return super().resolve_command(ctx, args)
+
+
+class _Command(click.Command):
+    """A command whose help shows the options by group."""
+
+    def __init__(self, name: str, request: type[Request], **options: Any) -> None:
+        self.request = request
+        super().__init__(name, **options)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        sections: dict[str, list[tuple[str, str]]] = {"": []}
+        for one in self.request.asked():
+            flag = one.name.upper() if one.argument else _flag(one)
+            sections.setdefault(one.group, []).append((flag, _help(one)))
+        sections["Further"] = [
+            ("--config FILE", "TOML, JSON or results.json to start from; options override it"),
+            ("--help", "Show this."),
+        ]
+        for heading, rows in sections.items():
+            if rows:
+                with formatter.section(heading or "Options"):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        if self.epilog:
+            with formatter.section("Examples"):
+                for line in self.epilog.splitlines():
+                    formatter.write(f"  {line.strip()}\n")
+
+
+def _command(name: str, request: type[Request]) -> click.Command:
+    text, _, examples = inspect.cleandoc(request.__doc__ or "").partition("Examples:")
+    short = " ".join(text.split())
+    return _Command(
+        name,
+        request,
+        callback=partial(_serve, name, request),
+        params=[_parameter(one) for one in request.asked()]
+        + [click.Option(["--config"], type=click.Path(path_type=Path))],
+        help=short,
+        short_help=short,
+        epilog=examples.strip(),
+        context_settings={"max_content_width": 100},
     )
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[text]}"),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(label, total=None, text="")
 
-        def tell(done: int, total: int, text: str = "") -> None:
-            bar.update(task, completed=done, total=total, text=text)
-            if (
-                not console.is_terminal
-                and total
-                and (done == total or done % max(1, total // 20) == 0)
-            ):
-                print(f"{label}: {done}/{total} {text}", file=sys.stderr, flush=True)
+def _serve(label: str, request: type[Request], /, config: Path | None = None, **given: Any) -> None:
+    """Make the request, once, and have it served."""
+    from skygain.app.progress import progress
 
-        yield tell
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def _box(text: str | None) -> tuple[float, float, float, float] | None:
-    if text is None:
-        return None
+    fields = {one.name: one for one in request.asked()}
     try:
-        west, south, east, north = (float(part) for part in text.split(","))
+        values = read_config(request, config) if config else {}
+        for key, value in given.items():
+            if value is not None and value != ():
+                values[key] = _scaled(value, fields[key])
+        asked = request.of(values)
+        module, _, function = request.runs.partition(":")
+        run = getattr(importlib.import_module(module), function)
+        with progress(label) as tell:
+            told = run(asked, tell)
+    except InputError as error:
+        raise InputError(for_command_line(str(error), request)) from error
+    if told:
+        print(told)
+
+
+def _parameter(one: Asked) -> click.Parameter:
+    """Values stay texts here: the request reads them, as it reads those of a file."""
+    if one.argument:
+        many = -1 if one.several else 1
+        return click.Argument([one.name], required=one.default is MISSING, nargs=many)
+    flag = f"--{one.flag}"
+    if one.kind is bool:
+        return click.Option([one.name, f"{flag}/--no-{one.flag}"], default=None)
+    return click.Option(
+        [one.name, flag],
+        type=str,
+        default=None,
+        multiple=one.several,
+        shell_complete=partial(_completed, one.names) if one.names else None,
+    )
+
+
+def _scaled(value: Any, one: Asked) -> Any:
+    if one.scale == 1.0:
+        return value
+    try:
+        return float(value) * one.scale
     except ValueError:
-        raise InputError(f"cannot read the box {text!r}; write west,south,east,north") from None
-    return west, south, east, north
+        raise InputError(f"`{one.name}` must be a number, got {value!r}") from None
 
 
-@app.command()
-def survey(
-    city: Annotated[
-        str | None,
-        typer.Option(
-            help="What to fly over: 'sample' or 'sample:LINK' (traced links in the package), a "
-            "data set PATH.zarr.zip[:LINK], a seed "
-            "of a Manhattan city, a height raster (.tif), footprints (.geojson, .gpkg, .shp, "
-            ".osm), or a Sionna scene name. "
-            "'sample' when left out."
-        ),
-    ] = None,
-    transmitter: Annotated[
-        str,
-        typer.Option(
-            help="'random', or x,y[,z] in the city's metres; for a recording also "
-            "latitude,longitude[,z], if known."
-        ),
-    ] = "random",
-    predictor: Annotated[
-        str,
-        typer.Option(
-            help="Predictor, with options as name:key=value; +tx tells it the transmitter."
-        ),
-    ] = "kriging",
-    planner: Annotated[
-        str, typer.Option(help="Planner, with options as name:key=value.")
-    ] = "greedy-variance",
-    uavs: Annotated[int, typer.Option(help="How many UAVs.")] = 3,
-    steps: Annotated[int, typer.Option(help="Moves per UAV.")] = 200,
-    start: Annotated[
-        str, typer.Option(help="cluster (one 40 m square) or spread (anywhere).")
-    ] = "cluster",
-    altitude: Annotated[
-        float, typer.Option(help="Altitude of flight and prediction, metres above the street.")
-    ] = 10.0,
-    noise_db: Annotated[
-        float, typer.Option(help="Standard deviation of Gaussian measurement noise.")
-    ] = 0.0,
-    stop_std: Annotated[
-        float | None,
-        typer.Option(
-            help="Stop early once the mean predictive standard deviation outdoors is below this "
-            "(dB)."
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="Draws the crop, the transmitter, the start and the planner's randomness."
-        ),
-    ] = 0,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("surveys/latest"),
-    overwrite: Annotated[
-        bool, typer.Option(help="Replace results that are already in --out.")
-    ] = False,
-    propagation: Annotated[
-        str,
-        typer.Option(
-            help="Truth of a city that brings none: union (ray tracing and over-rooftop), "
-            "raytrace, over-rooftop, gudmundson."
-        ),
-    ] = "union",
-    frequency_ghz: Annotated[float, typer.Option(help="Carrier frequency.")] = 5.0,
-    crop: Annotated[
-        int, typer.Option(help="Side in cells of a random window to survey; 0 for the whole map.")
-    ] = 96,
-    spacing: Annotated[
-        float | None,
-        typer.Option(
-            help="Cell size in metres for cities from files, scenes and recordings (4 when left "
-            "out)."
-        ),
-    ] = None,
-    crs: Annotated[
-        str | None,
-        typer.Option(
-            help="Coordinate reference system of a city file that names none, e.g. EPSG:32617."
-        ),
-    ] = None,
-    record_every: Annotated[
-        int, typer.Option(help="Keep the map for the report every this many steps.")
-    ] = 5,
-    min_distance: Annotated[
-        float, typer.Option(help="Least distance between two UAVs, metres.")
-    ] = 0.0,
-    allow_sharing: Annotated[
-        bool, typer.Option(help="Let UAVs share cells (separation is on otherwise).")
-    ] = False,
-    return_to_start: Annotated[
-        bool, typer.Option(help="Every UAV must be able to fly back to its start.")
-    ] = False,
-    replay: Annotated[
-        Path | None,
-        typer.Option(help="Map a recorded campaign (CSV) instead of a simulated world."),
-    ] = None,
-    columns: Annotated[
-        str | None,
-        typer.Option(
-            help="Columns of the recording that are not guessed right, e.g. "
-            "level=RSRP,latitude=phi."
-        ),
-    ] = None,
-    where: Annotated[
-        str | None, typer.Option(help="Rows of the recording to use, e.g. PCI=A,device=Samsung.")
-    ] = None,
-    eirp_dbm: Annotated[
-        float | None,
-        typer.Option(help="Radiated power of a recorded transmitter: turns dBm into gain."),
-    ] = None,
-    box: Annotated[
-        str | None,
-        typer.Option(
-            help="west,south,east,north of the part to survey, in degrees or metres (city files, "
-            "recordings)."
-        ),
-    ] = None,
-) -> None:
-    """Fly one survey and write maps, tables, pictures and a report."""
-    from skygain.app.fly import SurveyRequest, run_survey
-
-    request = SurveyRequest(
-        city=city,
-        transmitter=transmitter,
-        predictor=predictor,
-        planner=planner,
-        uavs=uavs,
-        steps=steps,
-        start=start,
-        altitude_m=altitude,
-        noise_db=noise_db,
-        stop_std_db=stop_std,
-        seed=seed,
-        propagation=propagation,
-        frequency_hz=frequency_ghz * 1e9,
-        crop=crop or None,
-        spacing_m=spacing,
-        crs=crs,
-        record_every=record_every,
-        min_distance_m=min_distance,
-        separate=not allow_sharing,
-        return_to_start=return_to_start,
-        replay=str(replay) if replay else None,
-        columns=columns,
-        where=where,
-        eirp_dbm=eirp_dbm,
-        box=_box(box),
-    )
-    with _progress("survey") as tell:
-        summary = run_survey(request, out, overwrite=overwrite, progress=tell)
-    print(summary)
+def _completed(registry: str, ctx: Any, param: Any, incomplete: str) -> list[str]:
+    module, _, attribute = registry.partition(":")
+    names = getattr(importlib.import_module(module), attribute).names()
+    before, comma, last = incomplete.rpartition(",")
+    return [f"{before}{comma}{name}" for name in names if name.startswith(last)]
 
 
-@app.command()
-def evaluate(
-    predictors: Annotated[
-        str | None, typer.Option(help="Predictors, separated by commas; kriging when left out.")
-    ] = None,
-    planners: Annotated[
-        str | None,
-        typer.Option(
-            help="Planners, separated by commas; every predictor flies with every planner. "
-            "random-waypoint when left out."
-        ),
-    ] = None,
-    methods: Annotated[
-        str,
-        typer.Option(
-            help="Further methods as in the tables, 'PREDICTOR / PLANNER', separated by commas; "
-            "they can stand alone."
-        ),
-    ] = "",
-    data: Annotated[str, typer.Option(help="Data set (PATH.zarr.zip), or 'sample'.")] = "sample",
-    split: Annotated[str, typer.Option(help="T1, T2, T3 or T4.")] = "T4",
-    uavs: Annotated[int, typer.Option(help="How many UAVs.")] = 3,
-    steps: Annotated[int, typer.Option(help="Moves per UAV.")] = 200,
-    start: Annotated[str, typer.Option(help="cluster or spread.")] = "cluster",
-    altitude: Annotated[
-        float, typer.Option(help="Altitude of flight and prediction, metres.")
-    ] = 10.0,
-    noise_db: Annotated[
-        float, typer.Option(help="Standard deviation of Gaussian measurement noise.")
-    ] = 0.0,
-    max_surveys: Annotated[
-        int | None, typer.Option(help="At most this many surveys, spread over the cities.")
-    ] = None,
-    crop: Annotated[
-        int, typer.Option(help="Side in cells of the random window to survey; 0 for whole maps.")
-    ] = 96,
-    record_every: Annotated[int, typer.Option(help="Score every this many steps.")] = 25,
-    min_distance: Annotated[
-        float, typer.Option(help="Least distance between two UAVs, metres.")
-    ] = 0.0,
-    allow_sharing: Annotated[
-        bool, typer.Option(help="Let UAVs share cells (separation is on otherwise).")
-    ] = False,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes; one per core when left out.")
-    ] = None,
-    seed: Annotated[
-        int, typer.Option(help="Draws crops, starts and the planners' randomness.")
-    ] = 0,
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="Folder for rollouts, results.json, table.md and the figure; resumes what is "
-            "there."
-        ),
-    ] = Path("surveys/evaluation"),
-) -> None:
-    """Compare methods over many surveys, paired, with intervals; the table is the last thing
-    printed."""
-    from skygain.app.compare import run_comparison
-    from skygain.evaluation.comparison import ComparisonConfig
-    from skygain.flight.swarm import FlightRules
-
-    alone = bool(methods) and predictors is None and planners is None
-    config = ComparisonConfig(
-        predictors=_names("kriging" if predictors is None and not alone else predictors or ""),
-        planners=_names("random-waypoint" if planners is None and not alone else planners or ""),
-        pairs=_names(methods),
-        data=data,
-        split=split,
-        uavs=uavs,
-        steps=steps,
-        start=start,
-        altitude_m=altitude,
-        noise_db=noise_db,
-        max_surveys=max_surveys,
-        crop=crop,
-        record_every=record_every,
-        rules=FlightRules(separate=not allow_sharing, min_distance_m=min_distance),
-        seed=seed,
-    )
-    with _progress("evaluate") as tell:
-        table = run_comparison(config, out, workers=workers, progress=tell)
-    print(table)
+def _flag(one: Asked) -> str:
+    if one.kind is bool:
+        return f"--{one.flag}" + (f"/--no-{one.flag}" if one.default is True else "")
+    metavar = _METAVARS.get(one.kind, "PATH" if one.several else "A,B,…")
+    return f"--{one.flag} {metavar}".rstrip()
 
 
-@app.command()
-def doctor() -> None:
-    """Say what is installed, what is missing and how to get it, and trace a two-box scene to prove
-    that ray tracing works."""
-    from skygain.app.doctor import report
-
-    text, healthy = report()
-    print(text)
-    if not healthy:
-        raise typer.Exit(1)
-
-
-@app.command()
-def methods() -> None:
-    """List the predictors, planners and propagation models that can be named."""
-    from skygain.planners import PLANNERS
-    from skygain.predictors import PREDICTORS
-    from skygain.propagation import PROPAGATION
-
-    for registry in (PREDICTORS, PLANNERS, PROPAGATION):
-        print(f"{registry.kind}: {', '.join(registry.names())}")
-
-
-@dataset_app.command("build")
-def dataset_build(
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="paper, small, tiny, sample (what ships), more-cities, more-altitudes or large."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="The data set to write, PATH.zarr.zip.")],
-    workers: Annotated[int, typer.Option(help="Cities traced at the same time.")] = 1,
-    resume: Annotated[
-        bool, typer.Option(help="Go on from the cities already traced; --no-resume starts again.")
-    ] = True,
-    propagation: Annotated[
-        str | None, typer.Option(help="Propagation model of the truth; the preset's when left out.")
-    ] = None,
-) -> None:
-    """Generate cities and trace their transmitters; can be killed at any time and goes on where it
-    stopped."""
-    from skygain.datasets.builder import build_dataset
-    from skygain.datasets.summary import describe_dataset
-
-    with _progress("cities") as tell:
-        build_dataset(
-            preset,
-            out,
-            workers=workers,
-            resume=resume,
-            propagation=propagation,
-            progress=lambda done, total, _left: tell(done, total, ""),
-        )
-    print(describe_dataset(out))
-
-
-@dataset_app.command("info")
-def dataset_info(path: Annotated[Path, typer.Argument(help="A data set, PATH.zarr.zip.")]) -> None:
-    """Say what a data set holds."""
-    from skygain.datasets.summary import describe_dataset
-
-    print(describe_dataset(path))
-
-
-@app.command("export-onnx")
-def export_onnx_command(
-    network: Annotated[
-        str, typer.Argument(help="operator, locator, unet, paper-unet or paper-unet-mapblind.")
-    ],
-    out: Annotated[Path, typer.Argument(help="File to write.")],
-    weights: Annotated[
-        Path | None, typer.Option(help="Weight file; by default the shipped one of that name.")
-    ] = None,
-    rows: Annotated[int, typer.Option(help="Rows of the map.")] = 96,
-    cols: Annotated[int, typer.Option(help="Columns of the map.")] = 96,
-) -> None:
-    """Write a trained network as ONNX, for computers on board without PyTorch; checked against
-    PyTorch before it is written."""
-    from skygain.networks.onnx_export import export_onnx
-
-    worst = export_onnx(network, out, weights=weights, shape=(rows, cols))
-    print(f"wrote {out}; largest difference to PyTorch {worst:.1e} dB")
-
-
-@train_app.command("kriging")
-def train_kriging_command(
-    data: Annotated[Path, typer.Option(help="Data set whose T1 split to fit.")],
-    out: Annotated[Path, typer.Option(help="JSON file for the parameters.")],
-) -> None:
-    """Fit the Kriging parameters: path loss by least squares, covariance by likelihood."""
-    from skygain.training.kriging import train_kriging
-
-    print(train_kriging(data, out))
-
-
-@train_app.command("policy")
-def train_policy_command(
-    recipe: Annotated[
-        str, typer.Option(help="imitation, dqn (after it), dqn-rewards-only or paper-dqn.")
-    ],
-    data: Annotated[Path, typer.Option(help="Data set; the recipe says which split is flown in.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the run, continued if it exists; by default in the user's cache."
-        ),
-    ] = None,
-    minutes: Annotated[
-        float | None, typer.Option(help="Pause after this long; the same command goes on later.")
-    ] = None,
-    start_from: Annotated[
-        str | None, typer.Option(help="Name or file of a policy to begin a DQN from.")
-    ] = None,
-) -> None:
-    """Train a policy by recipe; can be killed at any time and goes on where it stopped. The planner
-    of that name finds the weights."""
-    from skygain.training import train_policy
-
-    changes: dict[str, object] = {} if minutes is None else {"max_seconds": 60 * minutes}
-    if start_from is not None:
-        changes["start_from"] = start_from
-    result = train_policy(recipe, data, out, report=_say, **changes)
-    print(f"{result.step} steps, {result.seconds / 60:.0f} minutes; scores {result.scores}")
-
-
-def _say(record: dict[str, object]) -> None:
-    """A line of a run's log, for people."""
-    print("  ".join(f"{key} {value}" for key, value in record.items()), file=sys.stderr, flush=True)
-
-
-@train_app.command("predictor")
-def train_predictor_command(
-    recipe: Annotated[
-        str,
-        typer.Option(
-            help="operator, path-model, locator, judge, unet, paper-unet, paper-unet-mapblind, …"
-        ),
-    ],
-    data: Annotated[
-        list[Path],
-        typer.Option(
-            help="Data set; T1 trains (T3 the judge), T2 validates. Give it again to add another "
-            "one's cities."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the run, continued if it exists; by default in the user's cache."
-        ),
-    ] = None,
-    minutes: Annotated[
-        float | None, typer.Option(help="Pause after this long; the same command goes on later.")
-    ] = None,
-    finish: Annotated[
-        int | None,
-        typer.Option(
-            help="End the run: the learning rate falls to 0 over so many more steps.", min=1
-        ),
-    ] = None,
-    start_from: Annotated[
-        str | None, typer.Option(help="Name or file of weights, or a checkpoint, to begin from.")
-    ] = None,
-) -> None:
-    """Train a network by recipe; can be killed at any time and goes on where it stopped. The
-    predictor of that name finds the weights."""
-    from skygain.training import train_predictor
-
-    changes: dict[str, object] = {} if minutes is None else {"max_seconds": 60 * minutes}
-    if finish is not None:
-        changes["finish_steps"] = finish
-    if start_from is not None:
-        changes["start_from"] = start_from
-    result = train_predictor(recipe, data, out, report=_say, **changes)
-    print(
-        f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores "
-        f"{result.scores}"
-    )
+def _help(one: Asked) -> str:
+    text = one.text.replace("``", "")
+    if one.default is MISSING:
+        return f"{text}  [required]"
+    if one.kind is bool or one.default in (None, (), {}):
+        return text
+    default = one.default / one.scale if one.scale != 1.0 else one.default
+    return f"{text}  [{default:g}]" if isinstance(default, float) else f"{text}  [{default}]"

@@ -4,35 +4,28 @@ from __future__ import annotations
 
 __all__ = ["run_comparison"]
 
-from pathlib import Path
-
-from skygain.evaluation.comparison import ComparisonConfig, Progress, compare
+from skygain.app.progress import Progress
+from skygain.evaluation.comparison import compare
+from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.tables import comparison_json, comparison_markdown, curve_intervals
 from skygain.ground.files import atomic_write
 from skygain.ground.strict_json import json_text
 
 
-def run_comparison(
-    config: ComparisonConfig,
-    out: Path,
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> str:
-    """Compare, write ``results.json``, ``table.md`` and ``rmse_vs_steps.png`` to ``out``, and
-    return the table as Markdown.
+def run_comparison(request: EvaluateRequest, progress: Progress | None = None) -> str:
+    """Compare, write ``results.json``, ``table.md`` and ``rmse_vs_steps.png``, and return the table
+    as Markdown.
 
     Raises:
         InputError: see `skygain.evaluation.comparison.compare`; ``out`` cannot be written.
     """
     from skygain.reports.pictures import rmse_curves
 
-    comparison = compare(config, out, workers=workers, progress=progress)
+    comparison = compare(request, progress)
     table = comparison_markdown(comparison)
     results = comparison_json(comparison) | {"table": table}
-    with atomic_write(out / "results.json") as path:
-        path.write_text(json_text(results))
-    with atomic_write(out / "table.md") as path:
-        path.write_text(table)
-    rmse_curves(curve_intervals(comparison), out / "rmse_vs_steps.png")
+    for name, text in (("results.json", json_text(results)), ("table.md", table)):
+        with atomic_write(request.out / name) as path:
+            path.write_text(text, encoding="utf-8")
+    rmse_curves(curve_intervals(comparison), request.out / "rmse_vs_steps.png")
     return table

@@ -7,7 +7,7 @@ into.
 
 from __future__ import annotations
 
-__all__ = ["Check", "diagnose", "render", "report"]
+__all__ = ["Check", "diagnose", "render", "run_doctor"]
 
 import importlib.metadata
 import json
@@ -16,6 +16,9 @@ import platform
 import subprocess
 import sys
 from dataclasses import dataclass
+
+from skygain.app.progress import Progress
+from skygain.app.requests import DoctorRequest
 
 OLDEST_PYTHON = (3, 11)
 
@@ -27,7 +30,7 @@ CORE = (
     "zarr",
     "h5netcdf",
     "matplotlib",
-    "typer",
+    "click",
     "rich",
     "safetensors",
     "torch",
@@ -72,11 +75,14 @@ class Check:
     """what to do about it, empty when nothing is needed"""
 
 
-def report() -> tuple[str, bool]:
-    """The text for the terminal, and whether nothing is broken (a missing optional feature is not
-    broken)."""
+def run_doctor(request: DoctorRequest, progress: Progress | None = None) -> str:
+    """The text for the terminal; ends the process with code 1 where something is broken (a missing
+    optional feature is not broken)."""
     checks = diagnose()
-    return render(checks), all(check.state != "broken" for check in checks)
+    if any(check.state == "broken" for check in checks):
+        print(render(checks))
+        raise SystemExit(1)
+    return render(checks)
 
 
 def diagnose(*, trace: bool = True) -> list[Check]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["Frame", "Recorder", "delays_ms", "rollout"]
+__all__ = ["Frame", "Recorder", "rollout"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from skygain.evaluation.metrics import score
 from skygain.flight.swarm import FlightRules, Swarm
-from skygain.instruments.base import Instrument
 from skygain.predictors.base import Belief
-from skygain.survey.loop import StepRecord, Survey
+from skygain.survey.loop import Survey, delays_ms
 from skygain.survey.methods import MethodSpec
+from skygain.survey.worlds import simulated_instrument
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
@@ -78,21 +78,6 @@ class Recorder:
         self.frames.append(Frame(step, mean, std, swarm.history.copy(), scores))
 
 
-def delays_ms(journal: Sequence[StepRecord]) -> dict[str, float]:
-    """Planning delay per decision and per planned step, and update delay per step, in milliseconds
-    (median and 95th percentile)."""
-    decisions = [(r.planning_s, r.planned_steps) for r in journal if r.planned_steps]
-    per_decision = np.array([s for s, _ in decisions]) * 1e3
-    per_step = np.array([s / n for s, n in decisions]) * 1e3
-    update = np.array([r.updating_s for r in journal]) * 1e3
-    named = {"decision": per_decision, "planned_step": per_step, "update": update}
-    return {
-        f"{name}_ms_{label}": float(np.quantile(values, q)) if len(values) else float("nan")
-        for name, values in named.items()
-        for label, q in (("median", 0.5), ("p95", 0.95))
-    }
-
-
 def rollout(
     case: Case,
     method: MethodSpec,
@@ -100,7 +85,7 @@ def rollout(
     steps: int,
     record_steps: Sequence[int],
     rules: FlightRules | None = None,
-    instrument: Callable[[NDArray[np.floating], np.random.Generator], Instrument] | None = None,
+    noise_db: float = 0.0,
 ) -> dict[str, Any]:
     """Fly ``method`` in ``case`` and return plain numbers, ready for JSON.
 
@@ -111,16 +96,14 @@ def rollout(
         ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured":
         readings taken}``
     """
-    from skygain.instruments.simulated import PerfectInstrument
-
     planner_rng, noise_rng = case.rng(0), case.rng(1)
     truth = case.truth_db
     predictor = method.build_predictor()
     scenario = method.visible(case.scenario(), predictor)
-    measure = PerfectInstrument(truth) if instrument is None else instrument(truth, noise_rng)
+    instrument = simulated_instrument(truth, noise_db, noise_rng)
     recorder = Recorder(frozenset(record_steps), truth, case.ray_traced)
     swarm = Swarm.deployed(scenario, case.start_cells, steps, rules)
-    result = Survey(scenario, predictor, method.build_planner(), measure).fly(
+    result = Survey(scenario, predictor, method.build_planner(), instrument).fly(
         swarm, planner_rng, recorder
     )
     names = list(recorder.frames[0].scores) if recorder.frames else []

@@ -83,7 +83,7 @@ def _flight_rows(comparison: Comparison) -> list[tuple[str, str, str, float]]:
 def _planners_of(comparison: Comparison) -> dict[str, list[str]]:
     """The planners that each predictor was flown by."""
     planners: dict[str, list[str]] = {}
-    for method in comparison.config.methods:
+    for method in comparison.request.pairs:
         planners.setdefault(method.predictor, []).append(method.planner)
     return planners
 
@@ -97,14 +97,14 @@ def _gof(comparison: Comparison, label: str) -> float:
 def comparison_markdown(comparison: Comparison) -> str:
     """The tables: error along the way, error and calibration at the end, paired differences, flight
     saved, delays."""
-    config, labels, steps = comparison.config, list(comparison.scores), comparison.steps
+    asked, labels, steps = comparison.request, list(comparison.scores), comparison.steps
     shown = _milestones(steps)
     n, n_cities = len(comparison.cities), len(np.unique(comparison.cities))
-    window = f"windows of {config.crop} × {config.crop} cells" if config.crop else "whole maps"
+    window = f"windows of {asked.crop} × {asked.crop} cells" if asked.crop else "whole maps"
     lines = [
-        f"{n} surveys in {n_cities} cities of {config.split}, {window}, {config.uavs} UAVs, start "
-        f"{config.start}, {config.steps} steps, "
-        f"altitude {config.altitude_m:g} m, noise {config.noise_db:g} dB, seed {config.seed}. "
+        f"{n} surveys in {n_cities} cities of {asked.split}, {window}, {asked.uavs} UAVs, start "
+        f"{asked.start}, {asked.steps} steps, "
+        f"altitude {asked.altitude_m:g} m, noise {asked.noise_db:g} dB, seed {asked.seed}. "
         "RMSE in dB over unvisited outdoor cells; brackets: 95 % bootstrap interval over cities.",
         "",
         "| predictor / planner | "
@@ -257,8 +257,8 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     ]
     return {
         "config": {
-            **asdict(comparison.config),
-            "data": Path(comparison.config.data).name,
+            **comparison.request.stored(),
+            "data": Path(comparison.request.data).name,
         },  # no folder of this machine
         "surveys": len(comparison.cities),
         "cities": len(np.unique(comparison.cities)),

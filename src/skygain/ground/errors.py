@@ -4,13 +4,19 @@ Anything that enters Skygain from outside (a file, a command line option, an arg
 function) and cannot be used raises `InputError`. Its text is a single line that says what was
 expected, what came, and what to do. The command line prints that line and exits with code 2; any
 other exception is a bug of ours and shows its traceback.
+
+A parameter stands in backticks, with its value where one is advised: "give another `out`, or
+`overwrite=True`". Python shows it so; the command line writes its option instead
+(`skygain.app.cli`).
 """
 
 from __future__ import annotations
 
-__all__ = ["InputError", "MissingExtraError", "require"]
+__all__ = ["InputError", "MissingExtraError", "did_you_mean", "require"]
 
+import difflib
 import importlib
+from collections.abc import Iterable
 from types import ModuleType
 
 
@@ -20,6 +26,17 @@ class InputError(ValueError):
 
 class MissingExtraError(InputError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown ``name``: the nearest known one, and all of them.
+
+    >>> did_you_mean("rod", ["red", "blue"])
+    "did you mean 'red'? known: red, blue"
+    """
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    return (f"did you mean {close[0]!r}? " if close else "") + f"known: {', '.join(known)}"
 
 
 def require(module: str, extra: str) -> ModuleType:

@@ -9,7 +9,7 @@ from typing import Any
 from skygain.ground.registry import Registry
 from skygain.planners.base import Certificate, Plan, Planner
 
-PLANNERS: Registry[Planner] = Registry("planner")
+PLANNERS: Registry[Planner] = Registry("planner", "skygain.planners")
 PLANNERS.register("random-waypoint", "skygain.planners.random_waypoint:RandomWaypointPlanner")
 PLANNERS.register("lawnmower", "skygain.planners.lawnmower:LawnmowerPlanner")
 PLANNERS.register("spiral", "skygain.planners.lawnmower:SpiralPlanner")

@@ -9,7 +9,7 @@ from typing import Any
 from skygain.ground.registry import Registry
 from skygain.predictors.base import Belief, Predictor
 
-PREDICTORS: Registry[Predictor] = Registry("predictor")
+PREDICTORS: Registry[Predictor] = Registry("predictor", "skygain.predictors")
 PREDICTORS.register("kriging", "skygain.predictors.kriging.known_source:KrigingPredictor")
 PREDICTORS.register("kriging-blind", "skygain.predictors.kriging.known_source:blind_kriging")
 PREDICTORS.register(

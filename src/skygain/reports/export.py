@@ -212,8 +212,6 @@ def write_results_json(outcome: Outcome, path: Path) -> None:
     Raises:
         TypeError: the configuration holds something JSON cannot say.
     """
-    from skygain.evaluation.rollout import delays_ms
-
     result, grid, scenario = outcome.result, outcome.grid, outcome.scenario
     readings = result.measurements
     certificates = [
@@ -249,7 +247,7 @@ def write_results_json(outcome: Outcome, path: Path) -> None:
         },
         "scores": {name: values[-1] for name, values in outcome.scores.items()},
         "scores_over_steps": {"step": outcome.steps, **outcome.scores},
-        "timings": {**result.timings, **delays_ms(result.journal)},
+        "timings": result.timings,
         "certificates": certificates,
     }
     text = json_text(content)

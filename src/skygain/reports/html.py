@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.evaluation.rollout import Frame, delays_ms
+from skygain.evaluation.rollout import Frame
 from skygain.ground.errors import MissingExtraError
 from skygain.ground.files import atomic_write
 from skygain.reports.outcome import Outcome, score_label
@@ -42,12 +42,6 @@ _GROUPS = (
     ("Negative log likelihood", "nats", ("nll",), ()),
 )
 """charts of the report: title, unit, scores, values that would be ideal"""
-
-_STOPPED = {
-    "steps": "every step was flown",
-    "stop-std": "it stopped early because the map was certain enough",
-    "interrupted": "it was interrupted",
-}
 
 
 def write_report(outcome: Outcome, path: Path) -> None:
@@ -301,8 +295,8 @@ def _lede(outcome: Outcome) -> str:
         text += (
             f". The transmitter at x {x:.0f} m, y {y:.0f} m, {z:g} m high was {told} the predictor"
         )
-    stopped = _STOPPED.get(outcome.result.stopped, outcome.result.stopped)
-    text = _escaped(f"{text}; the survey ended after {swarm.steps_flown} steps: {stopped}.")
+    ending = outcome.result.ending
+    text = _escaped(f"{text}; the survey ended after {swarm.steps_flown} steps: {ending}.")
     return re.sub(r"\b([xy]|\d+) (?=-?\d|m\b|GHz|UAVs?\b|steps)", r"\1&nbsp;", text)
 
 
@@ -352,7 +346,7 @@ def _tiles(outcome: Outcome) -> Iterator[str]:
         "",
         f"in {100 * share:.1f} % of the outdoor cells",
     )
-    delay = delays_ms(outcome.result.journal)["decision_ms_median"]
+    delay = outcome.result.timings["decision_ms_median"]
     if np.isfinite(delay):
         value, unit = (f"{delay:.3g}", "ms") if delay < 1000 else (f"{delay / 1000:.1f}", "s")
         yield tile("Planning", value, unit, "per decision, median")

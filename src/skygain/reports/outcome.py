@@ -70,6 +70,34 @@ class Outcome:
     level_label: str = "channel gain in dB"
     """what is mapped, with its unit; a recording may hold received power instead"""
 
+    def __repr__(self) -> str:
+        return f"{self.title}\n{self.summary}"
+
+    @property
+    def summary(self) -> str:
+        """How it ended, how good the map is and how long deciding took, in three lines."""
+        result, scores = self.result, {name: values[-1] for name, values in self.scores.items()}
+        cells = int(result.measurements.visited(self.grid.shape).sum())
+        lines = [
+            f"{result.ending}: {result.swarm.steps_flown} steps, {len(result.measurements)} "
+            f"readings in {cells} cells"
+        ]
+        if np.isfinite(scores.get("rmse_db", np.nan)):
+            lines.append(
+                f"RMSE {scores['rmse_db']:.2f} dB on unvisited cells "
+                f"({scores['rmse_all_db']:.2f} dB on all), 90 % interval covers "
+                f"{scores['coverage90']:.0%}, goodness of fit {scores['gof']:+.2f}"
+            )
+        elif "mean_std_db" in scores:
+            lines.append(f"mean predicted standard deviation {scores['mean_std_db']:.2f} dB")
+        delays = result.timings
+        if delays["decisions"]:
+            lines.append(
+                f"planning {delays['decision_ms_median']:.1f} ms per decision, belief update "
+                f"{delays['update_ms_median']:.1f} ms (median)"
+            )
+        return "\n".join(lines)
+
     @property
     def scenario(self) -> Scenario:
         """What was known before the survey."""

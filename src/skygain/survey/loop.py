@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult"]
+__all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult", "delays_ms"]
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,6 +61,21 @@ class StepRecord:
     """of the plan made before this step"""
 
 
+def delays_ms(journal: Sequence[StepRecord]) -> dict[str, float]:
+    """Planning delay per decision and per planned step, and update delay per step, in milliseconds
+    (median and 95th percentile)."""
+    decisions = [(r.planning_s, r.planned_steps) for r in journal if r.planned_steps]
+    per_decision = np.array([s for s, _ in decisions]) * 1e3
+    per_step = np.array([s / n for s, n in decisions]) * 1e3
+    update = np.array([r.updating_s for r in journal]) * 1e3
+    named = {"decision": per_decision, "planned_step": per_step, "update": update}
+    return {
+        f"{name}_ms_{label}": float(np.quantile(values, q)) if len(values) else float("nan")
+        for name, values in named.items()
+        for label, q in (("median", 0.5), ("p95", 0.95))
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class SurveyResult:
     """All there is to know about a finished survey."""
@@ -81,12 +96,23 @@ class SurveyResult:
 
     @property
     def timings(self) -> dict[str, float]:
-        """Seconds spent planning and updating, and the decisions made."""
+        """Seconds spent planning and updating, the decisions made, and the delays of
+        `delays_ms`."""
         return {
             "planning_s": sum(r.planning_s for r in self.journal),
             "updating_s": sum(r.updating_s for r in self.journal),
             "decisions": float(sum(r.planned_steps > 0 for r in self.journal)),
+            **delays_ms(self.journal),
         }
+
+    @property
+    def ending(self) -> str:
+        """Why it ended, in words."""
+        return {
+            "steps": "all steps flown",
+            "stop-std": "stopped early, the map was certain enough",
+            "interrupted": "interrupted, with all that was measured so far",
+        }.get(self.stopped, self.stopped)
 
 
 @dataclass(frozen=True)

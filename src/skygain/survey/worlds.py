@@ -7,7 +7,7 @@ propagation model asked for.
 
 from __future__ import annotations
 
-__all__ = ["World", "open_world", "parse_position"]
+__all__ = ["World", "open_world", "parse_position", "simulated_instrument"]
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.city import City
+from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.scenario import check_transmitter
+from skygain.survey.requests import CityRequest, PlaceRequest
 
 if TYPE_CHECKING:
     from skygain.datasets.store import ChannelDataset, Link
+    from skygain.instruments.base import Instrument
 
 PROTOCOL_CROP = 96
-"""side in cells of the map a survey covers in the paper"""
+"""side in cells of the map a survey covers in the paper, taken where nothing is asked for"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,17 @@ class World:
     """``[row, col]`` gain at the altitude asked for"""
     ray_traced: NDArray[np.bool_] | None = None
     """``[row, col]`` cells a ray reached, when rays were traced"""
+
+
+def simulated_instrument(
+    truth_db: NDArray[np.floating], noise_db: float, rng: np.random.Generator
+) -> Instrument:
+    """Receivers that look ``truth_db[row, col]`` up, exactly or with Gaussian noise."""
+    from skygain.instruments.simulated import NoiseConfig, NoisyInstrument, PerfectInstrument
+
+    if noise_db == 0:
+        return PerfectInstrument(truth_db)
+    return NoisyInstrument(truth_db, NoiseConfig(std_db=noise_db), rng)
 
 
 def parse_position(text: str) -> tuple[float, float, float]:
@@ -61,14 +75,12 @@ def parse_position(text: str) -> tuple[float, float, float]:
 
 
 def _crop_corner(
-    shape: tuple[int, int], side: int | None, rng: np.random.Generator
+    shape: tuple[int, int], side: int, rng: np.random.Generator
 ) -> tuple[int, int, tuple[int, int]]:
     """South-west cell and shape of a random window of ``side`` cells, as large as the map
-    allows."""
-    if side is None:
+    allows; the whole map for 0."""
+    if side == 0:
         return 0, 0, shape
-    if side < 2:
-        raise InputError(f"a crop needs at least 2 cells a side, got {side}; 96 is the paper's")
     window = min(side, shape[0]), min(side, shape[1])
     return (
         int(rng.integers(shape[0] - window[0] + 1)),
@@ -82,7 +94,7 @@ def _random_transmitter(city: City, rng: np.random.Generator) -> tuple[float, fl
     open_ground = np.argwhere(city.height_m <= 0)
     if len(open_ground) == 0:
         raise InputError(
-            f"{city.name!r} has no open ground for a transmitter; give --transmitter x,y,z above a "
+            f"{city.name!r} has no open ground for a transmitter; give `transmitter=x,y,z` above a "
             "roof"
         )
     x, y = city.grid.xy_m(open_ground[rng.integers(len(open_ground))])
@@ -108,7 +120,7 @@ def _dataset_world(
     dataset: ChannelDataset,
     number: int | None,
     altitude_m: float,
-    crop: int | None,
+    crop: int,
     rng: np.random.Generator,
 ) -> World:
     links = dataset.links(None, altitude_m)
@@ -136,74 +148,66 @@ def _dataset_world(
 
 
 def open_world(
-    spec: str,
+    place: PlaceRequest | str,
     *,
-    transmitter: str = "random",
     altitude_m: float = 10.0,
-    propagation: str = "union",
-    frequency_hz: float = 5e9,
-    crop: int | None = PROTOCOL_CROP,
-    spacing_m: float | None = None,
-    crs: str | None = None,
-    box: tuple[float, float, float, float] | None = None,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int = 0,
 ) -> World:
-    """The world named ``spec``.
+    """The world that ``place`` asks for, with the truth at one altitude.
 
     Args:
-        spec: ``sample`` or ``sample:LINK`` (traced links that ship with the package),
-            ``PATH.zarr.zip`` or ``PATH.zarr.zip:LINK`` (a data set), or a city as
-            `skygain.cities.open_city` takes it: a seed, a height raster, footprints, a scene name.
-        transmitter: ``"random"`` or a position as `parse_position` reads it, in the city's metres.
-            A data set's links have theirs.
+        place: a request; a text stands for ``PlaceRequest(city=text)``. Without a city, the
+            packaged sample.
         altitude_m: altitude of the truth.
-        propagation: name of the model that computes the truth of a city.
-        frequency_hz: carrier frequency.
-        crop: side in cells of a random window to survey; ``None`` for the whole map. A city read
-            from a file is not cropped by the default of 96.
-        spacing_m: cell size for cities read from files and scenes.
-        crs: coordinate reference system of a city file that does not name its own.
-        rng: draws the crop, the transmitter, the link.
+        rng: draws the window, the transmitter, the link; a number is a seed.
 
     Raises:
-        InputError: see `skygain.cities.open_city`; the transmitter is indoors; the data set has no
+        InputError: see `skygain.cities.read_city`; the transmitter is indoors; the data set has no
             such link.
     """
+    if isinstance(place, str):
+        place = PlaceRequest(city=place)
+    rng = np.random.default_rng(rng)
+    spec = place.city or "sample"
     found = _dataset_and_link(spec)
     if found is not None:
-        if transmitter != "random":
+        if place.transmitter != "random":
             raise InputError(
-                "the links of a data set bring their own transmitter; leave --transmitter out or "
+                "the links of a data set bring their own transmitter; leave `transmitter` out or "
                 "choose another city"
             )
-        return _dataset_world(*found, altitude_m, crop, rng)
+        side = PROTOCOL_CROP if place.crop is None else place.crop
+        return _dataset_world(*found, altitude_m, side, rng)
 
-    from skygain.cities import open_city
+    from skygain.cities import read_city
     from skygain.propagation import PROPAGATION
 
-    model = PROPAGATION.factory(propagation)
-    if propagation == "raytrace":
+    model = PROPAGATION.factory(place.propagation)
+    if place.propagation == "raytrace":
         raise InputError(
-            "rays alone leave cells without any gain, so they cannot be surveyed; use "
-            "--propagation union"
+            "rays alone leave cells without any gain, so they cannot be surveyed; give "
+            "`propagation=union`"
         )
-    city = open_city(spec, spacing_m=spacing_m, crs=crs, box=box)
-    if transmitter == "random":
+    options = part(place, CityRequest)
+    del options["city"]
+    city = read_city(spec, **options).city
+    if place.transmitter == "random":
         position = _random_transmitter(city, rng)
     else:
-        position = parse_position(transmitter)
+        position = parse_position(place.transmitter)
         check_transmitter(city, position)
-    if crop == PROTOCOL_CROP and Path(spec).suffix:
-        crop = None
-    row, col, window = _crop_corner(city.grid.shape, crop, rng)
+    side = place.crop
+    if side is None:
+        side = 0 if Path(spec).suffix else PROTOCOL_CROP
+    row, col, window = _crop_corner(city.grid.shape, side, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
     where = (city, np.array([position]), [altitude_m])
     seed, traced = int(rng.integers(2**31)), None
-    if propagation == "union":
+    if place.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
-        truth = trace_truth(*where, frequency_hz=frequency_hz, seed=seed)
+        truth = trace_truth(*where, frequency_hz=place.frequency_hz, seed=seed)
         gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
     else:
-        gain_db = model(*where, frequency_hz=frequency_hz, seed=seed)[0, 0]
+        gain_db = model(*where, frequency_hz=place.frequency_hz, seed=seed)[0, 0]
     return World(city.cropped(row, col, window), position, gain_db[rows, cols], traced)

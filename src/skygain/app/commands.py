@@ -1,0 +1,97 @@
+"""The commands that need nothing of their own: data sets, training, exports."""
+
+from __future__ import annotations
+
+__all__ = ["run_build", "run_export", "run_info", "run_kriging", "run_policy", "run_predictor"]
+
+import sys
+from typing import Any
+
+from skygain.app.progress import Progress
+from skygain.app.requests import (
+    DatasetBuildRequest,
+    DatasetInfoRequest,
+    ExportOnnxRequest,
+    TrainKrigingRequest,
+    TrainPolicyRequest,
+    TrainPredictorRequest,
+    TrainRequest,
+)
+
+
+def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
+    """Build the data set; returns what it holds."""
+    from skygain.datasets.builder import build_dataset
+    from skygain.datasets.summary import describe_dataset
+
+    build_dataset(
+        request.preset,
+        request.out,
+        workers=request.workers,
+        resume=request.resume,
+        propagation=request.propagation,
+        progress=lambda done, total, _left: progress(done, total, ""),
+    )
+    return describe_dataset(request.out)
+
+
+def run_info(request: DatasetInfoRequest, progress: Progress) -> str:
+    """What a data set holds."""
+    from skygain.datasets.summary import describe_dataset
+
+    return describe_dataset(request.path)
+
+
+def run_kriging(request: TrainKrigingRequest, progress: Progress) -> str:
+    """The fitted parameters."""
+    from skygain.training.kriging import train_kriging
+
+    return train_kriging(request.data, request.out)
+
+
+def run_policy(request: TrainPolicyRequest, progress: Progress) -> str:
+    """Train a policy; returns its scores."""
+    from skygain.training import train_policy
+
+    result = train_policy(
+        request.recipe, request.data, request.out, report=_say, **_changes(request)
+    )
+    return f"{result.step} steps, {result.seconds / 60:.0f} minutes; scores {result.scores}"
+
+
+def run_predictor(request: TrainPredictorRequest, progress: Progress) -> str:
+    """Train a network; returns its scores."""
+    from skygain.training import train_predictor
+
+    changes = _changes(request)
+    if request.finish is not None:
+        changes["finish_steps"] = request.finish
+    result = train_predictor(request.recipe, request.data, request.out, report=_say, **changes)
+    return (
+        f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores "
+        f"{result.scores}"
+    )
+
+
+def run_export(request: ExportOnnxRequest, progress: Progress) -> str:
+    """Export a network; returns where to and how exact it is."""
+    from skygain.networks.onnx_export import export_onnx
+
+    worst = export_onnx(
+        request.network, request.out, weights=request.weights, shape=(request.rows, request.cols)
+    )
+    return f"wrote {request.out}; largest difference to PyTorch {worst:.1e} dB"
+
+
+def _changes(request: TrainRequest) -> dict[str, Any]:
+    """What is asked for beside the recipe."""
+    changes = {
+        "max_seconds": None if request.minutes is None else 60 * request.minutes,
+        "start_from": request.start_from,
+    }
+    return {name: value for name, value in changes.items() if value is not None}
+
+
+def _say(record: dict[str, object]) -> None:
+    """A line of a run's log, for people."""
+    print("  ".join(f"{key} {value}" for key, value in record.items()), file=sys.stderr, flush=True)

@@ -1,0 +1,79 @@
+"""What can be chosen by name, and what each choice is."""
+
+from __future__ import annotations
+
+__all__ = ["run_methods"]
+
+import inspect
+import sys
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+from skygain.app.progress import Progress
+from skygain.app.requests import MethodsRequest
+from skygain.ground.errors import InputError, did_you_mean
+from skygain.planners import PLANNERS
+from skygain.predictors import PREDICTORS
+from skygain.propagation import PROPAGATION
+from skygain.survey.methods import options_of
+
+_REGISTRIES = (PREDICTORS, PLANNERS, PROPAGATION)
+
+
+def run_methods(request: MethodsRequest, progress: Progress | None = None) -> str:
+    """All names by kind, or one of them explained.
+
+    Raises:
+        InputError: no predictor, planner or propagation model has that name.
+    """
+    if request.name is None:
+        lists = [f"{each.kind}: {', '.join(each.names())}" for each in _REGISTRIES]
+        return "\n".join([*lists, "one of them explained: skygain methods NAME"])
+    name = request.name.removesuffix("+tx")
+    for registry in _REGISTRIES:
+        if name in registry:
+            return f"{registry.kind} {name}\n\n{_explained(registry.factory(name))}"
+    names = [each for registry in _REGISTRIES for each in registry.names()]
+    raise InputError(f"nothing is called {name!r}; {did_you_mean(name, names)}")
+
+
+def _explained(factory: Callable[..., Any]) -> str:
+    """What it is, what it needs, and its options."""
+    lines = [_about(factory)]
+    needs = _needs(factory)
+    if needs:
+        lines += ["", f"needs: {needs}"]
+    options = options_of(factory)
+    if options:
+        lines += ["", "options, written name:key=value:"]
+    for option in options:
+        head = f"{option.name} ({option.allowed}; {option.default})"
+        text = option.text.replace("``", "")
+        lines.append(textwrap.fill(f"{head}: {text}" if text else head, 96, **_INDENT))
+    return "\n".join(lines)
+
+
+_INDENT = {"initial_indent": "  ", "subsequent_indent": "      "}
+
+
+def _about(factory: Callable[..., Any]) -> str:
+    """First paragraph of its docstring, or of its module's where that says it."""
+    text = inspect.getdoc(factory) or ""
+    if not text or text.startswith("See the module"):
+        text = inspect.getdoc(sys.modules[factory.__module__]) or ""
+    paragraph = " ".join(text.split("\n\n")[0].split())
+    return textwrap.fill(paragraph.replace("``", ""), 96)
+
+
+def _needs(factory: Callable[..., Any]) -> str:
+    """Whether a predictor has to be told the transmitter; nothing for others."""
+    try:
+        asked = getattr(factory(), "transmitter", None)
+    except (TypeError, ImportError, InputError) as error:
+        return f"cannot be made here: {error}"
+    told = {
+        "required": "the transmitter's position",
+        "optional": "nothing; is told the transmitter's position when written with +tx",
+    }
+    return told.get(str(asked), "")

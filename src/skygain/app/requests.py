@@ -1,0 +1,218 @@
+"""Every command with its options: one frozen dataclass each.
+
+The same object is made by Python, by a TOML or JSON file and by the command line. To add an option,
+add a field with a docstring here, or to the group in `skygain.survey.requests` that all commands
+with such an option share. To add a command, add a class and name it in `COMMANDS`; ``runs`` is
+called with the request and a progress display, and what it returns is printed.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "COMMANDS",
+    "DatasetBuildRequest",
+    "DatasetInfoRequest",
+    "DoctorRequest",
+    "EvaluateRequest",
+    "ExportOnnxRequest",
+    "MethodsRequest",
+    "SurveyRequest",
+    "TrainKrigingRequest",
+    "TrainPolicyRequest",
+    "TrainPredictorRequest",
+]
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from skygain.evaluation.request import EvaluateRequest
+from skygain.ground.declared import Request, named
+from skygain.ground.errors import InputError
+from skygain.survey.requests import (
+    FlightRequest,
+    MethodRequest,
+    PlaceRequest,
+    RecordingRequest,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputRequest(Request):
+    """Output"""
+
+    out: Path = named(Path("surveys/latest"), stored=False)
+    """folder for the results"""
+    overwrite: bool = named(False, stored=False)
+    """replace results that the folder already holds"""
+    record_every: int = 5
+    """keep the map for the report every this many steps"""
+
+    def check(self) -> None:
+        """Something is recorded."""
+        if self.record_every < 1:
+            raise InputError(f"`record_every` must be 1 or more, got {self.record_every}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyRequest(PlaceRequest, FlightRequest, MethodRequest, RecordingRequest, OutputRequest):
+    """Fly one survey and write maps, tables, pictures and a report.
+
+    Examples:
+        skygain survey --city sample:9 --planner sequential-greedy
+        skygain survey --city buildings.geojson --uavs 5 --noise-db 2 --stop-std 6
+        skygain survey --replay campaign.csv --where device=Samsung --predictor kriging-blind
+        skygain survey --config surveys/latest/results.json --seed 1 --out surveys/again
+    """
+
+    runs: ClassVar[str] = "skygain.app.fly:run_survey"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoctorRequest(Request):
+    """Say what is installed, what is missing and how to get it; trace a small test scene."""
+
+    runs: ClassVar[str] = "skygain.app.doctor:run_doctor"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodsRequest(Request):
+    """List predictors, planners and propagation models, or explain one of them.
+
+    Examples:
+        skygain methods
+        skygain methods lookahead
+    """
+
+    runs: ClassVar[str] = "skygain.app.explain:run_methods"
+
+    name: str | None = named(None, argument=True)
+    """the one to explain: what it is, needs, and its options"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetBuildRequest(Request):
+    """Generate cities and trace their transmitters; goes on where a killed run stopped.
+
+    Examples:
+        skygain dataset build --preset small --out cities.zarr.zip --workers 2
+    """
+
+    runs: ClassVar[str] = "skygain.app.commands:run_build"
+
+    preset: str
+    """paper, small, tiny, sample (what ships), more-cities, more-altitudes or large"""
+    out: Path
+    """the data set to write, PATH.zarr.zip"""
+    workers: int = 1
+    """cities traced at the same time"""
+    resume: bool = True
+    """go on from the cities already traced"""
+    propagation: str | None = named(None, names="skygain.propagation:PROPAGATION")
+    """propagation model of the truth; the preset's when left out"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetInfoRequest(Request):
+    """Say what a data set holds."""
+
+    runs: ClassVar[str] = "skygain.app.commands:run_info"
+
+    path: Path = named(argument=True)
+    """a data set, PATH.zarr.zip"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainKrigingRequest(Request):
+    """Fit Kriging: path loss by least squares, covariance by likelihood."""
+
+    runs: ClassVar[str] = "skygain.app.commands:run_kriging"
+
+    data: Path
+    """data set whose split T1 is fitted"""
+    out: Path
+    """JSON file for the parameters"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest(Request):
+    """Run"""
+
+    recipe: str
+    """name of the recipe"""
+    out: Path | None = None
+    """folder of the run, continued if it exists; in the user's cache when left out"""
+    minutes: float | None = None
+    """pause after this long; the same command goes on later"""
+    start_from: str | None = None
+    """name or file of weights to begin from"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainPolicyRequest(TrainRequest):
+    """Train a policy (imitation, dqn after it, dqn-rewards-only, paper-dqn); goes on where it
+    stopped.
+
+    Examples:
+        skygain train policy --recipe imitation --data cities.zarr.zip
+    """
+
+    runs: ClassVar[str] = "skygain.app.commands:run_policy"
+
+    data: Path
+    """data set; the recipe says which split is flown in"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainPredictorRequest(TrainRequest):
+    """Train a network (operator, path-model, locator, judge, unet, paper-unet); goes on where it
+    stopped.
+
+    Examples:
+        skygain train predictor --recipe operator --data cities.zarr.zip --minutes 60
+    """
+
+    runs: ClassVar[str] = "skygain.app.commands:run_predictor"
+
+    data: tuple[Path, ...]
+    """data set: T1 trains (T3 the judge), T2 validates; may be given again to add cities"""
+    finish: int | None = None
+    """end the run: the learning rate falls to 0 over so many more steps"""
+
+    def check(self) -> None:
+        """A run ends in at least one step."""
+        if self.finish is not None and self.finish < 1:
+            raise InputError(f"`finish` must be 1 step or more, got {self.finish}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOnnxRequest(Request):
+    """Write a trained network as ONNX; checked against PyTorch before it is written."""
+
+    runs: ClassVar[str] = "skygain.app.commands:run_export"
+
+    network: str = named(argument=True)
+    """operator, locator, unet, paper-unet or paper-unet-mapblind"""
+    out: Path = named(argument=True)
+    """file to write"""
+    weights: Path | None = None
+    """weight file; the shipped one of that name when left out"""
+    rows: int = 96
+    """rows of the map"""
+    cols: int = 96
+    """columns of the map"""
+
+
+COMMANDS: dict[str, type[Request]] = {
+    "survey": SurveyRequest,
+    "evaluate": EvaluateRequest,
+    "methods": MethodsRequest,
+    "doctor": DoctorRequest,
+    "dataset build": DatasetBuildRequest,
+    "dataset info": DatasetInfoRequest,
+    "train predictor": TrainPredictorRequest,
+    "train policy": TrainPolicyRequest,
+    "train kriging": TrainKrigingRequest,
+    "export-onnx": ExportOnnxRequest,
+}
+"""every command; two words are a command in a group"""

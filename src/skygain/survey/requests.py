@@ -1,0 +1,141 @@
+"""The groups of options that commands share: city, place, flight, method, recording.
+
+A command's request (`skygain.app.requests`) inherits the groups it needs, so an option is declared
+once for all of them. The first line of a group's docstring is its heading in the help.
+"""
+
+from __future__ import annotations
+
+__all__ = ["CityRequest", "FlightRequest", "MethodRequest", "PlaceRequest", "RecordingRequest"]
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skygain.ground.declared import Request, named
+from skygain.ground.errors import InputError
+
+if TYPE_CHECKING:
+    from skygain.flight.swarm import FlightRules
+
+
+@dataclass(frozen=True, kw_only=True)
+class CityRequest(Request):
+    """City
+
+    All but ``city`` are arguments of `skygain.cities.read_city`, under the same names.
+    """
+
+    city: str | None = None
+    """a seed (7), a height raster (.tif), footprints (.geojson, .gpkg, .shp, .osm), a scene of
+    Sionna RT (munich), traced links: sample or PATH.zarr.zip, one of them with :LINK"""
+    spacing_m: float | None = None
+    """side of a cell in metres, for files, scenes and recordings; 4 or the raster's own when left
+    out"""
+    crs: str | None = None
+    """coordinate reference system of a file that names none, e.g. EPSG:32617"""
+    box: tuple[float, float, float, float] | None = None
+    """west,south,east,north of the part wanted, in degrees or metres"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceRequest(CityRequest):
+    """Transmitter and truth"""
+
+    transmitter: str = "random"
+    """random, or x,y[,z] in the city's metres; on a recording also latitude,longitude[,z]"""
+    propagation: str = named("union", names="skygain.propagation:PROPAGATION")
+    """how the truth of a city without one is computed: union (rays and over the rooftops),
+    over-rooftop or gudmundson"""
+    frequency_hz: float = named(5e9, flag="frequency-ghz", scale=1e9)
+    """carrier frequency"""
+    crop: int | None = None
+    """side in cells of a random window to survey, 0 for the whole map; left out, 96 cells, but
+    files are whole"""
+
+    def check(self) -> None:
+        """The window has cells, the frequency is one."""
+        if self.crop is not None and (self.crop < 0 or self.crop == 1):
+            raise InputError(
+                f"`crop` must be 2 cells or more, or 0 for whole maps, got {self.crop}; 96 is the "
+                "paper's"
+            )
+        if not 0 < self.frequency_hz < math.inf:
+            raise InputError(f"`frequency_hz` must be above 0, got {self.frequency_hz:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightRequest(Request):
+    """Swarm and flight"""
+
+    uavs: int = 3
+    """how many UAVs"""
+    steps: int = 200
+    """moves per UAV"""
+    start: str = "cluster"
+    """cluster (all in one square of 40 m) or spread (anywhere)"""
+    altitude_m: float = 10.0
+    """altitude of flight and map, metres above the street"""
+    min_distance_m: float = 0.0
+    """least distance between two UAVs in metres"""
+    allow_sharing: bool = False
+    """UAVs may share a cell"""
+    return_to_start: bool = False
+    """every UAV can always fly back to its start"""
+    noise_db: float = 0.0
+    """standard deviation of the receivers' noise"""
+    seed: int = 0
+    """draws the window, the transmitter, the start, the noise and the planner's choices"""
+
+    def check(self) -> None:
+        """Numbers that can be flown."""
+        if self.uavs < 1:
+            raise InputError(
+                f"a swarm needs at least one UAV, got {self.uavs}; give `uavs=1` or more"
+            )
+        if self.steps < 0:
+            raise InputError(
+                f"`steps` must be 0 or more, got {self.steps}; give the moves that each UAV may "
+                "make"
+            )
+        if not (math.isfinite(self.noise_db) and self.noise_db >= 0):
+            raise InputError(f"`noise_db` must be 0 dB or more, got {self.noise_db}")
+        if not (math.isfinite(self.min_distance_m) and self.min_distance_m >= 0):
+            raise InputError(f"`min_distance_m` must be 0 m or more, got {self.min_distance_m}")
+        if self.seed < 0:
+            raise InputError(f"`seed` must be 0 or more, got {self.seed}")
+
+    @property
+    def rules(self) -> FlightRules:
+        """What is forbidden besides obstacles."""
+        from skygain.flight.swarm import FlightRules
+
+        return FlightRules(not self.allow_sharing, self.min_distance_m, self.return_to_start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodRequest(Request):
+    """Method (see: skygain methods)"""
+
+    predictor: str = named("kriging", names="skygain.predictors:PREDICTORS")
+    """name, options as name:key=value, +tx to tell it the transmitter; module:Class for one's
+    own"""
+    planner: str = named("greedy-variance", names="skygain.planners:PLANNERS")
+    """the same for the planner"""
+    stop_std_db: float | None = named(None, flag="stop-std")
+    """stop once the mean predicted standard deviation outdoors is below this, dB"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingRequest(Request):
+    """Recording, instead of a simulated world"""
+
+    replay: Path | None = None
+    """file of a recorded campaign"""
+    columns: dict[str, str] = field(default_factory=dict)
+    """columns that are not guessed right, e.g. level=RSRP,latitude=phi"""
+    where: dict[str, str] = field(default_factory=dict)
+    """rows to use, e.g. PCI=A,device=Samsung"""
+    eirp_dbm: float | None = None
+    """radiated power of the transmitter: turns dBm into gain"""
