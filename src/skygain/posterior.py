@@ -12,16 +12,22 @@ __all__ = ["GaussianProcessPosterior", "JointPosterior", "Posterior"]
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
+from skygain.ground.shown import Shown
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Shown):
     """Independent normal beliefs, one per cell.
 
     >>> belief = Posterior(np.zeros((1, 2)), np.array([[4.0, 0.0]]))
@@ -49,6 +55,27 @@ class Posterior:
             view = value.view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
+
+    def __repr__(self) -> str:
+        rows, cols = self.mean_db.shape
+        return (
+            f"{type(self).__name__} of {rows} × {cols} cells: mean {self.mean_db.min():.1f} to "
+            f"{self.mean_db.max():.1f} dB, standard deviation {self.std_db.mean():.1f} dB on "
+            "average"
+        )
+
+    def to_xarray(self) -> xr.Dataset:
+        """``mean_db`` and ``std_db`` over (row, col)."""
+        import xarray as xr
+
+        maps = {"mean_db": (self.mean_db, "mean"), "std_db": (self.std_db, "standard deviation")}
+        return xr.Dataset(
+            {
+                name: (("row", "col"), values, {"units": "dB", "long_name": text})
+                for name, (values, text) in maps.items()
+            },
+            coords={"row": np.arange(len(self.mean_db)), "col": np.arange(self.mean_db.shape[1])},
+        )
 
     @property
     def std_db(self) -> Array:
@@ -94,7 +121,7 @@ class JointPosterior(Posterior):
         return float(0.5 * log_det) if sign > 0 else -np.inf
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GaussianProcessPosterior(JointPosterior):
     """A Gaussian-process posterior: joint, with exact samples of the whole map."""
 

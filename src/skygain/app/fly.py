@@ -27,7 +27,7 @@ from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
 from skygain.survey.requests import CityRequest
-from skygain.survey.worlds import open_world, parse_position, simulated_instrument
+from skygain.survey.worlds import open_world, parse_position
 
 if TYPE_CHECKING:
     from skygain.predictors.base import Predictor
@@ -114,16 +114,9 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
     world = open_world(
         request, altitude_m=request.altitude_m, rng=np.random.default_rng(world_seed)
     )
-    scenario = Scenario(
-        world.city,
-        uav_altitude_m=request.altitude_m,
-        prediction_altitude_m=request.altitude_m,
-        transmitter_m=world.transmitter_m,
-        frequency_hz=request.frequency_hz,
-    )
     return _Setting(
-        scenario,
-        simulated_instrument(world.truth_db, request.noise_db, np.random.default_rng(noise_seed)),
+        world.scenario(),
+        world.instrument(request.noise_db, np.random.default_rng(noise_seed)),
         world.truth_db,
         world.ray_traced,
         world.transmitter_m,

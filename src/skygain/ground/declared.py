@@ -12,6 +12,7 @@ __all__ = ["Asked", "Request", "field_texts", "named", "part"]
 import ast
 import dataclasses
 import inspect
+import re
 import textwrap
 import types
 import typing
@@ -201,7 +202,7 @@ def _as_kind(value: Any, kind: Any) -> Any:
     if kind is bool:
         if isinstance(value, bool):
             return value
-        return {"true": True, "false": False}[_text(value).lower()]
+        return ("false", "true").index(_text(value).lower()) == 1
     if kind is int:
         if isinstance(value, str):
             return int(value)
@@ -232,9 +233,13 @@ def _as_kind(value: Any, kind: Any) -> Any:
             pairs = [each.partition("=") for each in _split(value)]
             if not all(key.strip() and sign for key, sign, _ in pairs):
                 raise ValueError
-            return {key.strip(): each.strip() for key, _, each in pairs}
+            return {_bare(key): _bare(each) for key, _, each in pairs}
         return {str(key): str(each) for key, each in dict(value).items()}
     raise TypeError(f"a request cannot hold {kind}")
+
+
+def _bare(text: str) -> str:
+    return text.strip().strip('"')
 
 
 def _text(value: Any) -> str:
@@ -244,10 +249,8 @@ def _text(value: Any) -> str:
 
 
 def _split(text: str) -> list[str]:
-    """Parts between commas; a part in double quotes may hold commas."""
-    import csv
-
-    return [each.strip() for each in next(csv.reader([text], skipinitialspace=True), []) if each]
+    """Parts between commas; what stands in double quotes may hold commas."""
+    return [each.strip() for each in re.findall(r'(?:"[^"]*"|[^,"])+', text) if each.strip()]
 
 
 def _in_words(kind: Any) -> str:

@@ -8,6 +8,7 @@ never ends without its results.
 from __future__ import annotations
 
 __all__ = [
+    "outcome_dataset",
     "write_measurements_csv",
     "write_radio_map_nc",
     "write_radio_map_tif",
@@ -126,7 +127,7 @@ def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:
     Returns:
         A note when the CRS could only be named because the geo extra is missing, else ``None``.
     """
-    dataset, note = _dataset(outcome)
+    dataset, note = outcome_dataset(outcome)
     if note:
         note = f"{path.name} {note}"
     numbers = {
@@ -139,7 +140,7 @@ def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:
     return note
 
 
-def _dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
+def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
     """The NetCDF's content, and what could not be said about the CRS."""
     import xarray as xr
 

@@ -12,16 +12,22 @@ __all__ = ["SCORE_LABELS", "Outcome", "score_label"]
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.grid import Grid
+from skygain.ground.files import writable_folder
+from skygain.ground.shown import Shown
 from skygain.posterior import Posterior
 from skygain.scenario import Scenario
 
 if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
     from skygain.evaluation.rollout import Frame
     from skygain.survey.loop import SurveyResult
 
@@ -49,8 +55,8 @@ def score_label(name: str) -> str:
     return SCORE_LABELS.get(name, name.replace("_", " "))
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
+@dataclass(frozen=True, eq=False, repr=False)
+class Outcome(Shown):
     """One survey, told from its end."""
 
     result: SurveyResult
@@ -76,12 +82,9 @@ class Outcome:
     @property
     def summary(self) -> str:
         """How it ended, how good the map is and how long deciding took, in three lines."""
-        result, scores = self.result, {name: values[-1] for name, values in self.scores.items()}
-        cells = int(result.measurements.visited(self.grid.shape).sum())
-        lines = [
-            f"{result.ending}: {result.swarm.steps_flown} steps, {len(result.measurements)} "
-            f"readings in {cells} cells"
-        ]
+        ended, *took = repr(self.result).splitlines()
+        scores = {name: values[-1] for name, values in self.scores.items()}
+        lines = [ended]
         if np.isfinite(scores.get("rmse_db", np.nan)):
             lines.append(
                 f"RMSE {scores['rmse_db']:.2f} dB on unvisited cells "
@@ -90,13 +93,26 @@ class Outcome:
             )
         elif "mean_std_db" in scores:
             lines.append(f"mean predicted standard deviation {scores['mean_std_db']:.2f} dB")
-        delays = result.timings
-        if delays["decisions"]:
-            lines.append(
-                f"planning {delays['decision_ms_median']:.1f} ms per decision, belief update "
-                f"{delays['update_ms_median']:.1f} ms (median)"
-            )
-        return "\n".join(lines)
+        return "\n".join([*lines, *took])
+
+    def to_xarray(self) -> xr.Dataset:
+        """Everything of ``radio_map.nc``: estimate, uncertainty, readings, truth, buildings."""
+        from skygain.reports.export import outcome_dataset
+
+        return outcome_dataset(self)[0]
+
+    def plot(self) -> Figure:
+        """Truth, estimate, error and uncertainty."""
+        from skygain.reports.pictures import survey_figure
+
+        return survey_figure(self)
+
+    def write(self, folder: str | Path) -> list[str]:
+        """Write all files of a survey to ``folder``, see docs/outputs.md; returns what had to be
+        left out, and why."""
+        from skygain.reports.folder import write_folder
+
+        return write_folder(self, writable_folder(folder))
 
     @property
     def scenario(self) -> Scenario:
@@ -116,7 +132,7 @@ class Outcome:
     @cached_property
     def posterior(self) -> Posterior:
         """What is believed at the end."""
-        return self.result.belief.posterior()
+        return self.result.posterior
 
     @cached_property
     def mean_db(self) -> Array:

@@ -8,7 +8,14 @@ its objects, so a caller's own figures and settings are left alone.
 
 from __future__ import annotations
 
-__all__ = ["UAV_COLOURS", "paths_picture", "rmse_curves", "rmse_picture", "survey_maps"]
+__all__ = [
+    "UAV_COLOURS",
+    "paths_picture",
+    "rmse_curves",
+    "rmse_picture",
+    "survey_figure",
+    "survey_maps",
+]
 
 import textwrap
 from collections.abc import Mapping
@@ -20,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
+from skygain.ground.shown import agg_figure
 from skygain.reports.outcome import Outcome, score_label
 
 if TYPE_CHECKING:
@@ -46,6 +54,11 @@ _DPI = 160
 
 
 def survey_maps(outcome: Outcome, path: Path) -> None:
+    """Write `survey_figure` as PNG."""
+    _save(survey_figure(outcome), path)
+
+
+def survey_figure(outcome: Outcome) -> Figure:
     """Truth, estimate, error and uncertainty at the end of the survey, in one figure.
 
     Truth and estimate share one colour scale. Without a truth the readings take its place and the
@@ -89,7 +102,7 @@ def survey_maps(outcome: Outcome, path: Path) -> None:
     _colour_bar(figure, image, axes[-1], "standard deviation in dB", extend="max")
     for panel in axes:
         panel.label_outer()
-    _save(figure, path)
+    return figure
 
 
 def paths_picture(outcome: Outcome, path: Path) -> None:
@@ -276,11 +289,7 @@ def rmse_curves(
 
 
 def _figure(size: tuple[float, float], outcome: Outcome | None = None) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = agg_figure(size)
     if outcome is not None:
         title = textwrap.fill(
             _shortened(outcome.title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …"

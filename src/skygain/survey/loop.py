@@ -7,16 +7,22 @@ __all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult", "
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
+from skygain.ground.shown import Shown
 from skygain.instruments.base import Instrument
 from skygain.measurements import Measurements
 from skygain.planners.base import Certificate, Planner
+from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.scenario import Scenario
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Observer = Callable[[int, Swarm, Belief], None]
 """called after every step with the steps flown, the swarm and the belief; step 0 is the start"""
@@ -76,8 +82,8 @@ def delays_ms(journal: Sequence[StepRecord]) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class SurveyResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SurveyResult(Shown):
     """All there is to know about a finished survey."""
 
     scenario: Scenario
@@ -93,6 +99,33 @@ class SurveyResult:
     ``"interrupted"`` by the user"""
     journal: tuple[StepRecord, ...] = field(repr=False, default=())
     """one record per step, the start included"""
+
+    def __repr__(self) -> str:
+        cells = int(self.measurements.visited(self.scenario.grid.shape).sum())
+        lines = [
+            f"{self.ending}: {self.swarm.steps_flown} steps, {len(self.measurements)} readings in "
+            f"{cells} cells"
+        ]
+        took = self.timings
+        if took["decisions"]:
+            lines.append(
+                f"planning {took['decision_ms_median']:.1f} ms per decision, belief update "
+                f"{took['update_ms_median']:.1f} ms (median)"
+            )
+        return "\n".join(lines)
+
+    @property
+    def posterior(self) -> Posterior:
+        """What is believed at the end, at every cell."""
+        return self.belief.posterior()
+
+    def to_xarray(self) -> xr.Dataset:
+        """``mean_db`` and ``std_db`` over (y, x) in metres, NaN indoors."""
+        grid, maps = self.scenario.grid, self.posterior.to_xarray()
+        maps = maps.where(self.scenario.outdoor).rename(row="y", col="x")
+        return maps.assign_coords(
+            y=("y", grid.y_m, {"units": "m"}), x=("x", grid.x_m, {"units": "m"})
+        )
 
     @property
     def timings(self) -> dict[str, float]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from skygain.city import City
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
-from skygain.scenario import check_transmitter
+from skygain.scenario import Scenario, check_transmitter
 from skygain.survey.requests import CityRequest, PlaceRequest
 
 if TYPE_CHECKING:
@@ -42,6 +42,24 @@ class World:
     """``[row, col]`` gain at the altitude asked for"""
     ray_traced: NDArray[np.bool_] | None = None
     """``[row, col]`` cells a ray reached, when rays were traced"""
+    altitude_m: float = 10.0
+    """altitude of the truth"""
+    frequency_hz: float = 5e9
+    """carrier frequency"""
+
+    def scenario(self) -> Scenario:
+        """What may be known of it, the transmitter included."""
+        return Scenario(
+            self.city,
+            uav_altitude_m=self.altitude_m,
+            prediction_altitude_m=self.altitude_m,
+            transmitter_m=self.transmitter_m,
+            frequency_hz=self.frequency_hz,
+        )
+
+    def instrument(self, noise_db: float = 0.0, rng: np.random.Generator | int = 0) -> Instrument:
+        """Receivers that measure in it."""
+        return simulated_instrument(self.truth_db, noise_db, np.random.default_rng(rng))
 
 
 def simulated_instrument(
@@ -120,6 +138,7 @@ def _dataset_world(
     dataset: ChannelDataset,
     number: int | None,
     altitude_m: float,
+    frequency_hz: float,
     crop: int,
     rng: np.random.Generator,
 ) -> World:
@@ -144,6 +163,8 @@ def _dataset_world(
         transmitter_m=tuple(float(v) for v in link.transmitter_m),  # type: ignore[arg-type]
         truth_db=link.truth_db[rows, cols],
         ray_traced=link.ray_traced[rows, cols],
+        altitude_m=altitude_m,
+        frequency_hz=frequency_hz,
     )
 
 
@@ -177,7 +198,7 @@ def open_world(
                 "choose another city"
             )
         side = PROTOCOL_CROP if place.crop is None else place.crop
-        return _dataset_world(*found, altitude_m, side, rng)
+        return _dataset_world(*found, altitude_m, place.frequency_hz, side, rng)
 
     from skygain.cities import read_city
     from skygain.propagation import PROPAGATION
@@ -210,4 +231,5 @@ def open_world(
         gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
     else:
         gain_db = model(*where, frequency_hz=place.frequency_hz, seed=seed)[0, 0]
-    return World(city.cropped(row, col, window), position, gain_db[rows, cols], traced)
+    window_city = city.cropped(row, col, window)
+    return World(window_city, position, gain_db[rows, cols], traced, altitude_m, place.frequency_hz)
