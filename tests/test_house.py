@@ -25,7 +25,8 @@ FLOORS = (
     {"environments", "evaluation"},
     {"training", "reports"},
     {"missions"},
-    {"app", "__main__"},
+    {"app"},
+    {"__main__"},
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 FACE = "skygain"  # the face of the package shows things of every room

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -140,7 +139,7 @@ def test_options_override_a_file_and_groups_only_order_it(tmp_path: Path) -> Non
     values = read_config(SurveyRequest, path)
     assert values == {"seed": 4, "uavs": 5, "min_distance_m": 8, "where": {"PCI": "A"}}
     path.write_text("uavs = ")
-    with pytest.raises(InputError, match="survey.toml"):
+    with pytest.raises(InputError, match=r"survey\.toml"):
         read_config(SurveyRequest, path)
     with pytest.raises(InputError, match="cannot read"):
         read_config(SurveyRequest, tmp_path / "absent.json")
@@ -220,10 +219,8 @@ def test_city_options_have_the_names_of_read_city() -> None:
 def test_every_name_of_the_face_is_there_and_loaded_late() -> None:
     assert all(getattr(sg, name) is not None for name in sg.__all__)
     code = "import sys, skygain; sys.exit('numpy' in sys.modules)"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    assert (
-        subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0
-    )
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+    assert done.returncode == 0
     with pytest.raises(AttributeError, match="nonsense"):
         sg.nonsense  # noqa: B018
 

@@ -22,7 +22,7 @@ from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.ground.files import writable_folder
 from skygain.instruments.base import Instrument
-from skygain.reports.outcome import Outcome
+from skygain.reports.flown import Flown
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
@@ -45,8 +45,6 @@ def run_survey(request: SurveyRequest, progress: Progress | None = None) -> str:
     Raises:
         InputError: anything about the request or the folder that the user can put right.
     """
-    from skygain.reports.folder import write_folder
-
     out = request.out
     if (out / "results.json").exists() and not request.overwrite:
         raise InputError(
@@ -55,11 +53,11 @@ def run_survey(request: SurveyRequest, progress: Progress | None = None) -> str:
         )
     writable_folder(out)
     outcome = fly(request, progress)
-    notes = write_folder(outcome, out)
+    notes = outcome.write(out)
     return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
 
 
-def fly(request: SurveyRequest, progress: Progress | None = None) -> Outcome:
+def fly(request: SurveyRequest, progress: Progress | None = None) -> Flown:
     """Fly the survey that was asked for; nothing is written.
 
     Raises:
@@ -85,7 +83,7 @@ def fly(request: SurveyRequest, progress: Progress | None = None) -> Outcome:
     survey = Survey(scenario, predictor, planner, setting.instrument, config)
     result = survey.fly(swarm, np.random.default_rng(planner_seed), recorder)
     recorder.take(result.swarm.steps_flown, result.swarm, result.belief)
-    return Outcome(
+    return Flown(
         result,
         recorder.frames,
         setting.truth_db,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city
 from skygain.city import City
-from skygain.ground.errors import InputError
+from skygain.ground.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from skygain.frames import Bounds, Reading
@@ -94,10 +94,10 @@ def read_city(
             layer=layer,
             default_height_m=DEFAULT_HEIGHT_M if default_height_m is None else default_height_m,
         )
-    files, scenes = ", ".join((*_RASTERS, *SUFFIXES)), ", ".join(SCENES)
+    files = ", ".join((*_RASTERS, *SUFFIXES))
     raise InputError(
-        f"{text[:200]!r} names no city; give a seed (7), the path of a file ({files}) or a scene "
-        f"({scenes})"
+        f"{text[:200]!r} names no city; give a seed (7), the path of a file ({files}) or a scene; "
+        f"{did_you_mean(text, SCENES)}"
     )
 
 

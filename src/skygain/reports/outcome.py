@@ -12,22 +12,16 @@ __all__ = ["SCORE_LABELS", "Outcome", "score_label"]
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.grid import Grid
-from skygain.ground.files import writable_folder
-from skygain.ground.shown import Shown
 from skygain.posterior import Posterior
 from skygain.scenario import Scenario
 
 if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.figure import Figure
-
     from skygain.evaluation.rollout import Frame
     from skygain.survey.loop import SurveyResult
 
@@ -56,7 +50,7 @@ def score_label(name: str) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Outcome(Shown):
+class Outcome:
     """One survey, told from its end."""
 
     result: SurveyResult
@@ -94,25 +88,6 @@ class Outcome(Shown):
         elif "mean_std_db" in scores:
             lines.append(f"mean predicted standard deviation {scores['mean_std_db']:.2f} dB")
         return "\n".join([*lines, *took])
-
-    def to_xarray(self) -> xr.Dataset:
-        """Everything of ``radio_map.nc``: estimate, uncertainty, readings, truth, buildings."""
-        from skygain.reports.export import outcome_dataset
-
-        return outcome_dataset(self)[0]
-
-    def plot(self) -> Figure:
-        """Truth, estimate, error and uncertainty."""
-        from skygain.reports.pictures import survey_figure
-
-        return survey_figure(self)
-
-    def write(self, folder: str | Path) -> list[str]:
-        """Write all files of a survey to ``folder``, see docs/outputs.md; returns what had to be
-        left out, and why."""
-        from skygain.reports.folder import write_folder
-
-        return write_folder(self, writable_folder(folder))
 
     @property
     def scenario(self) -> Scenario:
