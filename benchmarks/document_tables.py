@@ -1,183 +1,249 @@
-"""Write the measured tables of README.md and docs/ from benchmarks/results:  python
-benchmarks/document_tables.py [--check]
+"""Write the measured tables of README.md and docs/ from the records in benchmarks/results.
 
-A table stands between the lines ``<!-- REQUEST -->`` and ``<!-- end -->``; everything else in a
-page is left as it is. From ``test_cities_NAME.json`` come ``scores NAME``, ``errors NAME: A; B``
-(the RMSE of some methods), ``differences NAME: A - B; C - D`` and ``saved NAME: A; B``; ``file
-NAME.md table K columns N`` is the first N columns of the K-th table of that file. With ``--check``
-nothing is written, and the exit code is 1 if a page is not what it should be.
+    python -m benchmarks.document_tables [--check]
+
+A table stands between ``<!-- measured REQUEST -->`` and ``<!-- end -->``, with the command that
+printed it. Requests, NAME being a record:
+
+    table NAME K [columns 1-4,7] [rows A; B]   the K-th table
+    parts NAME K [columns 1-4]                 the K-th table of every part, stacked
+    scores NAME                                every method of a comparison
+    errors NAME: A; B                          the RMSE of some methods
+    against NAME: BASE; A; B                   the same, brackets: paired difference from BASE
+    differences NAME: A - B; C - D             paired differences
+    saved NAME: A; B                           flight saved by some methods
+
+With ``--check`` nothing is written, and the exit code is 1 if a page is not what its records say,
+if the Markdown of a record is not what its numbers say, or if a table of measured numbers has no
+request.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import sys
-from functools import cache
+import textwrap
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
-PAGES = [HERE.parent / "README.md", *sorted((HERE.parent / "docs").glob("*.md"))]
-STEPS = (50, 100, 200)
+if __package__ in (None, ""):  # run as a file
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.record import RESULTS, Record, Table, names, part
+
+ROOT = Path(__file__).parents[1]
+BLOCK = re.compile(r"<!-- measured\s+([^>]*?)\s*-->\n.*?<!-- end -->", re.DOTALL)
+MEASURED = re.compile(
+    r"[−+-]?\d[\d,]*(\.\d+( ?(dB|ms|s|MB|MiB|%|×)| ?[\[±/].*)?| ?(dB|ms|s|MB|MiB|%|×))"
+)
+"""a cell that is a number with decimals, a unit, an interval or a spread"""
+UNIT = re.compile(r"\b(dB|ms|s|seconds|MiB)\b")
+"""a heading that makes whole numbers below it measured ones"""
 
 
-@cache
-def comparison(name: str) -> dict[str, Any]:
-    """The committed numbers."""
-    return json.loads((HERE / "results" / f"test_cities_{name}.json").read_text())
+def pages() -> list[Path]:
+    """Every page whose tables are checked."""
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def at(found: dict[str, Any], curve: list[dict[str, float]], step: int) -> dict[str, float]:
-    """The entry of a curve at ``step``."""
-    return curve[found["steps"].index(step)]
+def triple(values: list[float]) -> str:
+    """A mean with its interval."""
+    return f"{values[0]:.2f} [{values[1]:.2f}, {values[2]:.2f}]"
 
 
-def scores(name: str) -> list[str]:
+def scores(found: Record) -> Table:
     """One row per method."""
-    found = comparison(name)
-    lines = [
-        "| method | T = 50 | T = 100 | T = 200 | ray-traced | rest | GoF | 90 % cover |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for method, entry in sorted(found["methods"].items()):
+    head = ["method", *(f"T = {t}" for t in found.comparison["steps"])]
+    rows = []
+    for method, entry in sorted(found.comparison["methods"].items()):
         curves = entry["scores"]
-        cells = [
-            f"{v['mean']:.2f} [{v['low']:.2f}, {v['high']:.2f}]"
-            for v in (at(found, curves["rmse_db"], t) for t in STEPS)
-        ]
-        cells += [
-            f"{at(found, curves[key], 200)['mean']:.2f}"
-            for key in ("rmse_ray_traced_db", "rmse_rest_db")
-        ]
-        cover = at(found, curves["coverage90"], 200)["mean"]
-        lines.append(
-            f"| {method} | {' | '.join(cells)} | {entry['gof']:+.2f} | {100 * cover:.1f} % |"
-        )
-    return lines
+        row = [method, *map(triple, curves["rmse_db"])]
+        row += [f"{curves[key][-1][0]:.2f}" for key in ("rmse_ray_traced_db", "rmse_rest_db")]
+        rows.append([*row, f"{entry['gof']:+.2f}", f"{100 * curves['coverage90'][-1][0]:.1f} %"])
+    return Table("", [*head, "ray-traced", "rest", "GoF", "90 % cover"], rows)
 
 
-def errors(name: str, methods: list[str]) -> list[str]:
+def errors(found: Record, methods: list[str]) -> Table:
     """RMSE of ``methods``, a row each."""
-    found = comparison(name)
-    lines = [
-        "| predictor / planner | " + " | ".join(f"RMSE T={t}" for t in STEPS) + " |",
-        "|---" * (len(STEPS) + 1) + "|",
+    rows = [
+        [method, *map(triple, found.comparison["methods"][method]["scores"]["rmse_db"])]
+        for method in methods
     ]
-    for method in methods:
-        values = [at(found, found["methods"][method]["scores"]["rmse_db"], t) for t in STEPS]
-        cells = " | ".join(f"{v['mean']:.2f} [{v['low']:.2f}, {v['high']:.2f}]" for v in values)
-        lines.append(f"| {method} | {cells} |")
-    return lines
+    head = [f"RMSE T={t}" for t in found.comparison["steps"]]
+    return Table("", ["predictor / planner", *head], rows)
 
 
-def part_of_file(name: str, number: int, columns: int) -> list[str]:
-    """The first ``columns`` columns of the ``number``-th table of a file, counted from 1."""
-    blocks = re.findall(
-        r"(?:^\|.*\n)+", (HERE / "results" / name).read_text(encoding="utf-8"), re.MULTILINE
-    )
-    rows = [row.strip().strip("|").split("|") for row in blocks[number - 1].splitlines()]
-    return ["|" + "|".join(cells[:columns]) + "|" for cells in rows]
+def paired(found: Record, one: str, other: str, key: str) -> list[list[float]]:
+    """``one`` minus ``other`` at every step: (mean, low, high)."""
+    for entry in found.comparison["paired"]:
+        if (entry["method"], entry["minus"]) == (one, other):
+            return entry[key]
+        if (entry["method"], entry["minus"]) == (other, one):
+            return [[-mean, -high, -low] for mean, low, high in entry[key]]
+    raise KeyError(f"{found.name} has no pair {one!r}, {other!r}")
 
 
-def differences(name: str, pairs: list[str]) -> list[str]:
+def against(found: Record, methods: list[str]) -> Table:
+    """RMSE of ``methods``, in brackets the paired difference from the first."""
+    table = errors(found, methods)
+    rows = [[row[0], *(cell.split(" [")[0] for cell in row[1:])] for row in table.rows]
+    for row in rows[1:]:
+        gaps = paired(found, row[0], methods[0], "rmse_db")
+        row[1:] = [
+            f"{cell} [{low:+.2f}, {high:+.2f}]"
+            for cell, (_, low, high) in zip(row[1:], gaps, strict=True)
+        ]
+    return Table("", table.head, rows)
+
+
+def differences(found: Record, pairs: list[str]) -> Table:
     """One row per pair: paired difference and its share of the second method's mean; ray-traced
-    cells at T = 200 last."""
-    found = comparison(name)
-    lines = [
-        "| difference | T = 50 | T = 100 | T = 200 | ray-traced, T = 200 |",
-        "|---|---|---|---|---|",
-    ]
+    cells at the last step."""
+    steps = found.comparison["steps"]
+    wanted = [("rmse_db", k, f"T = {t}") for k, t in enumerate(steps)]
+    if all("rmse_ray_traced_db" in entry for entry in found.comparison["paired"]):
+        wanted.append(("rmse_ray_traced_db", -1, f"ray-traced, T = {steps[-1]}"))
+    rows = []
     for pair in pairs:
         one, other = pair.split(" - ")
-        entry = next(
-            (p for p in found["paired"] if (p["method"], p["minus"]) == (one, other)), None
-        )
-        sign = 1.0
-        if entry is None:
-            entry, sign = (
-                next(p for p in found["paired"] if (p["method"], p["minus"]) == (other, one)),
-                -1.0,
-            )
-        cells = []
-        for key, step in [("rmse_db", t) for t in STEPS] + [("rmse_ray_traced_db", 200)]:
-            value = at(found, entry[key], step)
-            low, high = sorted((sign * value["low"], sign * value["high"]))
-            base = at(found, found["methods"][other]["scores"][key], step)["mean"]
-            cells.append(
-                f"{sign * value['mean']:+.2f} [{low:+.2f}, {high:+.2f}] "
-                f"({100 * sign * value['mean'] / base:+.0f} %)"
-            )
-        lines.append(f"| {one} − {other} | {' | '.join(cells)} |")
-    return lines
+        base = found.comparison["methods"][other]["scores"]
+        row = [f"{one} − {other}"]
+        for key, k, _ in wanted:
+            mean, low, high = paired(found, one, other, key)[k]
+            share = 100 * mean / base[key][k][0]
+            row.append(f"{mean:+.2f} [{low:+.2f}, {high:+.2f}] ({share:+.0f} %)")
+        rows.append(row)
+    return Table("", ["difference", *(title for *_, title in wanted)], rows)
 
 
-def saved(name: str, methods: list[str]) -> list[str]:
+def saved(found: Record, methods: list[str]) -> Table:
     """Flight saved against the three simple planners."""
-    found = comparison(name)
     rivals = {
         "random-waypoint": "random waypoints",
         "greedy-variance": "greedy variance",
         "lawnmower": "lawnmower",
     }
-    lines = ["| method | against " + " | ".join(rivals.values()) + " |", "|---|---|---|---|"]
+    rows = []
     for method in methods:
-        predictor, planner = method.split(" / ")
         ratio = {
-            r["rival"]: r["flight_saved"]
-            for r in found["flight_saved"]
-            if (r["predictor"], r["planner"]) == (predictor, planner)
+            row["rival"]: row["flight_saved"]
+            for row in found.comparison["flight_saved"]
+            if f"{row['predictor']} / {row['planner']}" == method
         }
-        lines.append(
-            f"| {method} | "
-            + " | ".join(f"{ratio[r]:.2f}×" if ratio.get(r) else "not reached" for r in rivals)
-            + " |"
+        cells = [f"{ratio[r]:.2f}×" if ratio.get(r) else "not reached" for r in rivals]
+        rows.append([method, *cells])
+    return Table("", ["method", *(f"against {name}" for name in rivals.values())], rows)
+
+
+def stacked(found: Record, number: int, columns: str) -> Table:
+    """The ``number``-th table of every part, the part in the first column."""
+    titles = list(dict.fromkeys(table.part for table in found.tables))
+    rows: list[list[str]] = []
+    for title in titles:
+        of_part = [table for table in found.tables if table.part == title]
+        chosen = part(Record("", "", of_part), number, columns)
+        rows += [[title, *row] for row in chosen.rows]
+    return Table("", ["", *chosen.head], rows)
+
+
+NAMED: dict[str, Callable[..., Table]] = {
+    "errors": errors,
+    "against": against,
+    "differences": differences,
+    "saved": saved,
+}
+PLAIN = re.compile(r"(table|parts) (\w+) (\d+)(?: columns ([\d,-]+))?(?: rows (.+))?")
+
+
+def block(request: str, results: str) -> str:
+    """What stands between the marks: the table and what printed it; ``results`` is the way from the
+    page to the records."""
+    if found := PLAIN.fullmatch(request):
+        kind, name, number, columns, rows = found.groups()
+        record = Record.read(name)
+        if kind == "parts":
+            table = stacked(record, int(number), columns or "")
+        else:
+            table = part(record, int(number), columns or "", rows or "")
+    else:
+        head, _, rest = request.partition(":")
+        kind, name = head.split()
+        record = Record.read(name)
+        wanted = [item.strip() for item in rest.split(";") if item.strip()]
+        table = NAMED[kind](record, wanted) if wanted else scores(record)
+    where = ", ".join(item for item in (record.data, record.machine) if item)
+    source = f"([Record]({results}/{name}.md), `{record.command}`; {where}.)"
+    lines = textwrap.wrap(source, 100, break_long_words=False, break_on_hyphens=False)
+    return "\n".join([*table.lines(), "", *lines])
+
+
+def filled(text: str, results: str = "../benchmarks/results") -> str:
+    """The page with every measured table as its record has it."""
+
+    def replace(found: re.Match[str]) -> str:
+        asked = " ".join(found[1].split())
+        mark = found[0].split("-->")[0] + "-->"
+        return f"{mark}\n\n{block(asked, results)}\n\n<!-- end -->"
+
+    return BLOCK.sub(replace, text)
+
+
+def unmarked(text: str) -> Iterator[str]:
+    """The first lines of tables that hold measured numbers and no request."""
+    for found in re.finditer(r"(?:^\|.*\n)+", BLOCK.sub("", text), re.MULTILINE):
+        head, _, *rows = (
+            [cell.strip() for cell in line.strip().strip("|").split("|")]
+            for line in found[0].splitlines()
         )
-    return lines
+        measured = [
+            bool(MEASURED.fullmatch(cell) or (UNIT.search(title) and cell.isdigit()))
+            for row in rows
+            for title, cell in list(zip(head, row, strict=False))[1:]
+        ]
+        if sum(measured) >= 2:
+            yield found[0].splitlines()[0]
 
 
-def table(request: str) -> list[str]:
-    """What stands under ``<!-- request -->``."""
-    if found := re.fullmatch(r"file (\S+) table (\d+) columns (\d+)", request):
-        return part_of_file(found[1], int(found[2]), int(found[3]))
-    head, _, rest = request.partition(":")
-    kind, name = head.split()
-    wanted = [part.strip() for part in rest.split(";") if part.strip()]
-    return {
-        "scores": lambda: scores(name),
-        "errors": lambda: errors(name, wanted),
-        "differences": lambda: differences(name, wanted),
-        "saved": lambda: saved(name, wanted),
-    }[kind]()
+def stale_records(folder: Path = RESULTS) -> Iterator[str]:
+    """Records whose Markdown is not what their numbers say, and files without a record."""
+    for name in names(folder):
+        if (folder / f"{name}.md").read_text(encoding="utf-8") != Record.read(name).markdown():
+            yield f"{name}.md is not what {name}.json says"
+    for path in folder.iterdir():
+        if not path.with_suffix(".json").exists():
+            yield f"{path.name} has no record beside it"
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
+    """Write the tables, or check them."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; fail if a page would change"
-    )
-    check = parser.parse_args().check
-    block = re.compile(
-        r"<!-- ((?:scores|errors|differences|saved|file) [^>]*?) -->\n.*?<!-- end -->", re.DOTALL
-    )
-    stale = 0
-    for page in PAGES:
+    parser.add_argument("--check", action="store_true", help="write nothing, fail on a difference")
+    check = parser.parse_args(arguments).check
+    failures: list[Any] = list(stale_records()) if check else []
+    for page in pages():
         text = page.read_text(encoding="utf-8")
-        found = block.sub(
-            lambda m: "\n".join([f"<!-- {m[1]} -->", "", *table(m[1]), "", "<!-- end -->"]), text
-        )
-        if found != text:
-            stale += 1
-            print(
-                f"{page.name}: "
-                f"{'not what the results say; run this without --check' if check else 'written'}"
-            )
-            if not check:
-                page.write_text(found, encoding="utf-8")
-    return 1 if check and stale else 0
+        try:
+            depth = "../" * len(page.relative_to(ROOT).parent.parts)
+            wanted = filled(text, f"{depth}benchmarks/results")
+        except (KeyError, OSError, ValueError, IndexError) as error:
+            failures.append(f"{page.name}: a request cannot be met: {error}")
+            continue
+        if check:
+            failures += [
+                f"{page.name}: measured numbers without a request: {line}"
+                for line in unmarked(text)
+            ]
+        if wanted != text and check:
+            failures.append(f"{page.name}: not what the records say; run this without --check")
+        elif wanted != text:
+            page.write_text(wanted, encoding="utf-8")
+            print(f"{page.name}: written")
+    print("\n".join(failures) if failures else "the measured tables are what their records say")
+    return 1 if failures else 0
 
 
 if __name__ == "__main__":

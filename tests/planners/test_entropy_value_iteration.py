@@ -110,7 +110,7 @@ def test_conditioned_equals_brute_force_with_the_posterior(
 
 
 def test_equals_the_dense_reference(rng):
-    path = Path(__file__).parents[2] / "benchmarks" / "dense_value_iteration.py"
+    path = Path(__file__).with_name("dense_value_iteration.py")
     spec = importlib.util.spec_from_file_location("dense_value_iteration", path)
     dense = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(dense)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["Frame", "Recorder", "rollout"]
+__all__ = ["Frame", "Observer", "Recorder", "flown", "rollout"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,13 +13,18 @@ from numpy.typing import NDArray
 
 from skygain.evaluation.metrics import score
 from skygain.flight.swarm import FlightRules, Swarm
+from skygain.instruments.base import Instrument
 from skygain.predictors.base import Belief
+from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, delays_ms
 from skygain.survey.methods import MethodSpec
 from skygain.survey.worlds import simulated_instrument
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
+
+Observer = Callable[[int, Swarm, Belief], None]
+"""told the steps flown, the swarm and the belief"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,26 +91,73 @@ def rollout(
     record_steps: Sequence[int],
     rules: FlightRules | None = None,
     noise_db: float = 0.0,
+    observe: Observer | None = None,
 ) -> dict[str, Any]:
-    """Fly ``method`` in ``case`` and return plain numbers, ready for JSON.
+    """Fly ``method`` in ``case`` and return plain numbers, ready for JSON; see `flown`.
 
     Every method flown in the same case gets the same city, transmitter, crop, start cells and
     random stream.
+    """
+    return flown(
+        case.scenario(),
+        method,
+        simulated_instrument(case.truth_db, noise_db, case.rng(1)),
+        case.truth_db,
+        case.start_cells,
+        steps=steps,
+        record_steps=record_steps,
+        rng=case.rng(0),
+        ray_traced=case.ray_traced,
+        rules=rules,
+        observe=observe,
+    )
+
+
+def flown(
+    scenario: Scenario,
+    method: MethodSpec,
+    instrument: Instrument,
+    truth_db: NDArray[np.floating],
+    start_cells: NDArray[np.int64],
+    *,
+    steps: int,
+    record_steps: Sequence[int],
+    rng: np.random.Generator,
+    ray_traced: NDArray[np.bool_] | None = None,
+    rules: FlightRules | None = None,
+    observe: Observer | None = None,
+) -> dict[str, Any]:
+    """Fly ``method`` once against a known truth.
+
+    Args:
+        scenario: with the transmitter; methods that do without are not told it.
+        method: predictor and planner.
+        instrument: gives the readings.
+        truth_db: ``[row, col]`` gain that scores are taken against, NaN where unknown.
+        start_cells: ``[uav, (row, col)]``.
+        steps: of every UAV.
+        record_steps: when scores are taken.
+        rng: the planner's.
+        ray_traced: ``[row, col]`` cells that a ray reached.
+        rules: separation.
+        observe: called at each of ``record_steps``.
 
     Returns:
         ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured":
         readings taken}``
     """
-    planner_rng, noise_rng = case.rng(0), case.rng(1)
-    truth = case.truth_db
     predictor = method.build_predictor()
-    scenario = method.visible(case.scenario(), predictor)
-    instrument = simulated_instrument(truth, noise_db, noise_rng)
-    recorder = Recorder(frozenset(record_steps), truth, case.ray_traced)
-    swarm = Swarm.deployed(scenario, case.start_cells, steps, rules)
-    result = Survey(scenario, predictor, method.build_planner(), instrument).fly(
-        swarm, planner_rng, recorder
-    )
+    scenario = method.visible(scenario, predictor)
+    recorder = Recorder(frozenset(record_steps), truth_db, ray_traced)
+    swarm = Swarm.deployed(scenario, start_cells, steps, rules)
+
+    def watch(step: int, swarm: Swarm, belief: Belief) -> None:
+        recorder(step, swarm, belief)
+        if observe and step in recorder.steps:
+            observe(step, swarm, belief)
+
+    survey = Survey(scenario, predictor, method.build_planner(), instrument)
+    result = survey.fly(swarm, rng, watch)
     names = list(recorder.frames[0].scores) if recorder.frames else []
     return {
         "steps": [f.step for f in recorder.frames],

@@ -89,7 +89,7 @@ class OperatorSettings:
     vertical_m: float = 10.0
     """decay length of the residual's correlation between the measured and the predicted altitude"""
     variance_factor: float = 1.0
-    """calibration of the variance, see benchmarks/calibration.py"""
+    """calibration of the variance, see docs/deep-predictors.md"""
 
 
 @dataclass(frozen=True)

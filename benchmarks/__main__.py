@@ -1,0 +1,21 @@
+"""``python -m benchmarks NAME [DATA] [--option value]``"""
+
+import sys
+
+from benchmarks import (  # noqa: F401 - each registers its studies
+    calibration,
+    cities,
+    evaluations,
+    kriging,
+    measured,
+    networks,
+    paper,
+    planning,
+    predictors,
+    speed,
+    unseen,
+)
+from benchmarks.study import main
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
