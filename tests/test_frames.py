@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from skygain.cities.reading import check_overlap
 from skygain.frames import (
     box_in_metres,
-    check_overlap,
     crs_label,
     grid_over,
     metric_crs,
@@ -87,7 +87,7 @@ def test_unknown_crs(text: str) -> None:
 
 
 def test_metres_read_as_degrees_are_refused() -> None:
-    with pytest.raises(InputError, match="crs as the system they are in"):
+    with pytest.raises(InputError, match="`crs` as the system they are in"):
         metric_crs(DEGREES, (691000, 5334000, 692000, 5335000))
     with pytest.raises(InputError, match="swapped"):
         metric_crs(DEGREES, (35.9, -178.94, 36.0, -178.9))
@@ -130,7 +130,7 @@ def test_grids_have_a_limit() -> None:
     assert grid_over((0, 0, 10, 6.1), 4.0, None).shape == (2, 2)
     assert grid_over((0, 0, 0.1, 0.1), 4.0, None).shape == (1, 1)
     for bounds in ((0, 0, 1e5, 1e5), (0, 0, 1e308, 1e308), (-1e308, 0, 1e308, 1)):
-        with pytest.raises(InputError, match="smaller box or a larger spacing_m"):
+        with pytest.raises(InputError, match="smaller `box` or a larger `spacing_m`"):
             grid_over(bounds, 4.0, None)
     for spacing in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(InputError, match="spacing_m"):

@@ -42,6 +42,44 @@ def test_crop_drops_buildings_outside() -> None:
     assert box_city().cropped(6, 0, (4, 4)).buildings == ()
 
 
+def hill_city() -> City:
+    """The box city on ground that rises by 3 m a row, from 100 m."""
+    city = box_city()
+    ground = 100.0 + 3.0 * np.arange(10)[:, None] + np.zeros(10)
+    return City(city.grid, city.height_m, city.buildings, "hill", ground)
+
+
+def test_ground_is_level_zero_unless_given() -> None:
+    assert box_city().is_level
+    assert box_city().ground_m.shape == (10, 10)
+    assert not box_city().ground_m.any()
+    assert City(Grid((2, 2), 4.0), np.zeros((2, 2)), ground_m=np.float32(7)).ground_at(0, 0) == 7
+    with pytest.raises(ValueError, match="ground_m has shape"):
+        City(Grid((2, 2), 4.0), np.zeros((2, 2)), ground_m=np.arange(3.0))
+
+
+def test_ground_goes_with_its_cells_and_heights_stay_above_it() -> None:
+    city = hill_city()
+    assert not city.is_level
+    np.testing.assert_array_equal(city.obstructed(10.0), box_city().obstructed(10.0))
+    assert city.ground_at(0.0, 8.0) == 106
+    assert city.ground_at(-500.0, 1e4) == 127  # off the map: the nearest cell
+    assert city.surface_m[3, 7] == 129
+    np.testing.assert_array_equal(city.cropped(2, 1, (3, 4)).ground_m, city.ground_m[2:5, 1:5])
+
+
+def test_a_level_flight_meets_the_hill_and_not_the_roof_it_passes_over() -> None:
+    following = Scenario(hill_city(), 10.0, 10.0)
+    np.testing.assert_array_equal(following.flyable, ~box_city().obstructed(10.0))
+    level = Scenario.at_level(hill_city(), 120.0, transmitter_m=(0.0, 8.0, 1.5))
+    np.testing.assert_array_equal(level.flyable, hill_city().surface_m < 120.0)
+    assert level.transmitter_m == (0.0, 8.0, 7.5)
+    assert level.altitude_text == "120 m above sea level"
+    assert following.altitude_text == "10 m above ground"
+    with pytest.raises(InputError, match="lowest ground, 100 m"):
+        Scenario.at_level(hill_city(), 99.0)
+
+
 def test_heights_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         box_city().height_m[0, 0] = 1.0

@@ -1,10 +1,14 @@
-"""A city: how high the ground is built at every cell, and the buildings that make it so."""
+"""A city: how high the ground is built at every cell, and the buildings that make it so.
+
+``height_m`` and every altitude are above the ground of their cell; ``ground_m`` says where that is.
+"""
 
 from __future__ import annotations
 
 __all__ = ["Building", "City"]
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +64,11 @@ class City:
     """the footprints, empty when only the raster is known"""
     name: str = "city"
     """for titles and file names"""
+    ground_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((), np.float32))
+    """``[row, col]`` height of the ground at the cell's centre, read-only; one number may be given
+    where it is level"""
+    ground_datum: str | None = None
+    """what ``ground_m`` is measured from, for example ``"NAVD88 height"``; ``None`` if unknown"""
 
     __hash__ = object.__hash__
 
@@ -75,6 +84,29 @@ class City:
             )
         height.flags.writeable = False
         object.__setattr__(self, "height_m", height)
+        ground = np.asarray(self.ground_m, dtype=np.float32)
+        if ground.ndim == 0 or (ground.size and (ground == ground.flat[0]).all()):
+            ground = np.broadcast_to(ground.flat[0], self.grid.shape)  # a level costs nothing
+        elif ground.shape != self.grid.shape:
+            raise ValueError(
+                f"ground_m has shape {ground.shape}, but the grid has {self.grid.shape}; they must "
+                "agree"
+            )
+        else:
+            ground = ground.copy()
+            ground.flags.writeable = False
+        object.__setattr__(self, "ground_m", ground)
+
+    @cached_property
+    def is_level(self) -> bool:
+        """Whether the ground has the same height everywhere."""
+        return bool((self.ground_m == self.ground_m.flat[0]).all())
+
+    @property
+    def surface_m(self) -> NDArray[np.float32]:
+        """``[row, col]`` height of the roof or the open ground, from where the ground is measured
+        from."""
+        return np.asarray(self.ground_m + self.height_m, dtype=np.float32)
 
     @property
     def crs(self) -> str | None:
@@ -82,8 +114,8 @@ class City:
         return self.grid.crs
 
     def obstructed(self, altitude_m: float) -> NDArray[np.bool_]:
-        """``[row, col]`` cells where a UAV or receiver at ``altitude_m`` would be inside a building
-        (height >= altitude)."""
+        """``[row, col]`` cells where a UAV or receiver ``altitude_m`` above the ground would be
+        inside a building (height >= altitude)."""
         return self.height_m >= altitude_m
 
     def roof_m(self, x_m: float, y_m: float) -> float:
@@ -93,6 +125,22 @@ class City:
             return max((b.height_m for b in self.buildings if b.covers(x_m, y_m)), default=0.0)
         cell = self.grid.cells_at((x_m, y_m))
         return float(self.height_m[tuple(cell)]) if self.grid.contains(cell) else 0.0
+
+    def ground_at(self, x_m: float, y_m: float) -> float:
+        """Height of the ground at a point; off the map that of the nearest cell."""
+        row, col = self.grid.cells_at((x_m, y_m))
+        rows, cols = self.grid.shape
+        return float(self.ground_m[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)])
+
+    def levelled(self, datum_m: float) -> City:
+        """The same surface over level ground at ``datum_m``: what rises above it, hills too, is an
+        obstacle.
+
+        This is how a flight sees the city that keeps one height above sea level: at ``level_m`` it
+        flies ``level_m - datum_m`` above the new ground. Buildings lose their polygons.
+        """
+        above = np.maximum(self.surface_m - np.float32(datum_m), 0.0)
+        return replace(self, height_m=above, buildings=(), ground_m=np.array(datum_m, np.float32))
 
     def __repr__(self) -> str:
         return f"City({self.name!r}, {self.grid}, {len(self.buildings)} buildings)"
@@ -122,4 +170,10 @@ class City:
             kept = tuple(b.shifted(dx, dy) for b in kept)
             grid = replace(grid, origin_m=(0.0, 0.0), crs=None)
         rows, cols = slice(row, row + shape[0]), slice(col, col + shape[1])
-        return City(grid=grid, height_m=self.height_m[rows, cols], buildings=kept, name=self.name)
+        return replace(
+            self,
+            grid=grid,
+            height_m=self.height_m[rows, cols],
+            buildings=kept,
+            ground_m=self.ground_m[rows, cols],
+        )

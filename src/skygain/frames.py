@@ -12,27 +12,20 @@ __all__ = [
     "LOCAL",
     "MAX_CELLS",
     "Bounds",
-    "Reading",
     "box_in_metres",
-    "check_overlap",
-    "city_name",
     "crs_label",
-    "existing_file",
     "grid_over",
     "in_degrees",
     "metric_crs",
     "parse_crs",
     "transformed_bounds",
+    "vertical_datum",
 ]
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from skygain.city import City
 from skygain.grid import Grid
 from skygain.ground.errors import InputError, require
 
@@ -49,39 +42,6 @@ _SCALE_TOLERANCE = 0.01
 """a projection is kept if its metre is within this share of a true metre"""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """A city read from somewhere, and what its reader had to assume."""
-
-    city: City
-    """the city"""
-    counts: Mapping[str, int]
-    """what was found, mended or assumed, and how often; only what occurred. For example
-    ``{"buildings": 1030, "without a height, taken as 9 m": 412}``"""
-
-    def __str__(self) -> str:
-        rows, cols = self.city.grid.shape
-        found = "".join(f"; {count} {what}" for what, count in self.counts.items())
-        return f"{self.city.name}: {rows} x {cols} cells of {self.city.grid.spacing_m:g} m{found}"
-
-
-def existing_file(path: str | Path) -> Path:
-    """The path, if a file is there.
-
-    Raises:
-        InputError: it is not.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"no file {str(path)!r}; check the path (a folder is not read)")
-    return path
-
-
-def city_name(path: Path) -> str:
-    """The file's name without its endings: ``"durham"`` for ``durham.osm.pbf``."""
-    return path.name.split(".")[0] or path.name
-
-
 def parse_crs(text: str | None) -> Any | None:
     """A ``pyproj.CRS`` without a vertical part; ``None`` for `LOCAL` or an engineering CRS, which
     have no place on Earth.
@@ -96,12 +56,28 @@ def parse_crs(text: str | None) -> Any | None:
         crs = pyproj.CRS.from_user_input(text).to_2d()
     except pyproj.exceptions.CRSError as error:
         raise InputError(
-            f"unknown coordinate reference system {str(text)[:80]!r}; give crs, e.g. 'EPSG:32617', "
-            f"or {LOCAL!r} for plain metres"
+            f"unknown coordinate reference system {str(text)[:80]!r}; give `crs`, e.g. "
+            f"'EPSG:32617', or {LOCAL!r} for plain metres"
         ) from error
     if crs.is_compound:
         crs = crs.sub_crs_list[0]
     return None if crs.is_engineering else crs
+
+
+def vertical_datum(wkt: str | None) -> tuple[str, str] | None:
+    """Name and unit of the heights that a compound coordinate reference system declares, such as
+    ``("NAVD88 height", "metre")``; ``None`` where none is declared."""
+    if not wkt:
+        return None
+    pyproj = require("pyproj", "geo")
+    try:
+        crs = pyproj.CRS.from_user_input(wkt)
+    except pyproj.exceptions.CRSError:
+        return None
+    vertical = [part for part in crs.sub_crs_list if part.is_vertical]
+    if not vertical:
+        return None
+    return str(vertical[0].name), str(vertical[0].axis_info[0].unit_name)
 
 
 def metric_crs(crs: Any | None, bounds: Bounds) -> Any | None:
@@ -122,7 +98,7 @@ def metric_crs(crs: Any | None, bounds: Bounds) -> Any | None:
         _check_degrees(bounds, crs)
     elif not crs.is_projected:
         raise InputError(
-            f"{crs.name!r} is neither geographic nor projected; reproject the file or give crs, "
+            f"{crs.name!r} is neither geographic nor projected; reproject the file or give `crs`, "
             "e.g. 'EPSG:32617'"
         )
     lon, lat = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x, y)
@@ -199,7 +175,7 @@ def box_in_metres(box: Bounds, crs: Any | None) -> Bounds:
         except InputError as error:
             raise InputError(
                 f"the box {_shown(box)} degrees is nowhere near the map in {crs.name!r}; choose a "
-                "box inside it"
+                "`box` inside it"
             ) from error
     return west, south, east, north
 
@@ -207,33 +183,6 @@ def box_in_metres(box: Bounds, crs: Any | None) -> Bounds:
 def in_degrees(box: Bounds) -> bool:
     """Whether the four numbers can be longitudes and latitudes."""
     return max(abs(box[0]), abs(box[2])) <= 180 and max(abs(box[1]), abs(box[3])) <= 90
-
-
-def check_overlap(box_m: Bounds, data_m: Bounds, box: Bounds, crs: Any | None) -> None:
-    """Raise `InputError` if the ``box_m`` asked for misses the data.
-
-    The message says where the data is, and whether the ``box`` as it was given has latitude and
-    longitude swapped.
-    """
-    if _overlap(box_m, data_m):
-        return
-    west, south, east, north = box
-    hint = ""
-    if crs is not None and max(abs(v) for v in box) <= 90:
-        try:
-            if _overlap(box_in_metres((south, west, north, east), crs), data_m):
-                hint = "; latitude and longitude look swapped, longitude comes first"
-        except InputError:
-            hint = ""
-    place = _shown(data_m)
-    if crs is not None and crs.is_projected:
-        place = (
-            _shown(transformed_bounds(data_m, crs, parse_crs("EPSG:4326"))) + f" degrees, {place} m"
-        )
-    raise InputError(
-        f"the box {_shown((west, south, east, north))} misses the data, which covers "
-        f"{place}{hint}; choose a box inside it"
-    )
 
 
 def grid_over(bounds_m: Bounds, spacing_m: float, crs: Any | None) -> Grid:
@@ -245,7 +194,7 @@ def grid_over(bounds_m: Bounds, spacing_m: float, crs: Any | None) -> Grid:
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0):
         raise InputError(
-            f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
+            f"`spacing_m` must be a positive number of metres, got {spacing_m}; 4 is usual"
         )
     west, south, east, north = bounds_m
     with np.errstate(over="ignore"):
@@ -255,7 +204,7 @@ def grid_over(bounds_m: Bounds, spacing_m: float, crs: Any | None) -> Grid:
         raise InputError(
             f"{east - west:.4g} x {north - south:.4g} m in cells of {spacing_m:g} m are "
             f"{cells:.3g} cells, more than "
-            f"{MAX_CELLS:,}; choose a smaller box or a larger spacing_m"
+            f"{MAX_CELLS:,}; choose a smaller `box` or a larger `spacing_m`"
         )
     origin = (float(west + spacing_m / 2), float(south + spacing_m / 2))
     return Grid(
@@ -270,16 +219,12 @@ def _check_degrees(bounds: Bounds, crs: Any) -> None:
     west, south, east, north = bounds
     if -180.5 <= west <= east <= 360.5 and -90.5 <= south <= north <= 90.5:
         return
-    hint = "give crs as the system they are in, e.g. 'EPSG:32617', or 'local' for plain metres"
+    hint = "give `crs` as the system they are in, e.g. 'EPSG:32617', or 'local' for plain metres"
     if -90.5 <= west <= east <= 90.5 and -180.5 <= south <= north <= 360.5:
         hint = "latitude and longitude look swapped, longitude comes first"
     raise InputError(
         f"coordinates {_shown(bounds)} are not longitudes and latitudes of {crs.name!r}; {hint}"
     )
-
-
-def _overlap(a: Bounds, b: Bounds) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _shown(bounds: Bounds) -> str:

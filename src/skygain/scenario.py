@@ -6,6 +6,7 @@ __all__ = ["Scenario"]
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,10 @@ class Scenario:
 
     city: City
     uav_altitude_m: float = 10.0
-    """altitude at which the UAVs fly and measure, above the street"""
+    """altitude at which the UAVs fly and measure, above the ground beneath them (following the
+    terrain), or above ``datum_m`` where that is given"""
     prediction_altitude_m: float = 10.0
-    """altitude of the map to be predicted"""
+    """altitude of the map to be predicted, likewise"""
     no_fly: NDArray[np.bool_] | None = None
     """``[row, col]`` cells no UAV may enter, besides buildings"""
     transmitter_m: tuple[float, float, float] | None = None
@@ -37,6 +39,9 @@ class Scenario:
     the map"""
     frequency_hz: float = 5.0e9
     """carrier frequency"""
+    datum_m: float | None = None
+    """where the flight keeps a level above the sea (see `at_level`): the height of both altitudes'
+    zero, on which the city is levelled; ``None`` where altitudes are above ground"""
 
     def __post_init__(self) -> None:
         for name in ("uav_altitude_m", "prediction_altitude_m", "frequency_hz"):
@@ -68,6 +73,47 @@ class Scenario:
             )
         if self.transmitter_m is not None:
             check_transmitter(self.city, self.transmitter_m)
+
+    @classmethod
+    def at_level(
+        cls, city: City, level_m: float, *, prediction_level_m: float | None = None, **others: Any
+    ) -> Scenario:
+        """A flight that keeps ``level_m`` above the sea: hills are obstacles as buildings are.
+
+        Args:
+            city: with its ground.
+            level_m: of the flight, above what the city's ground is measured from.
+            prediction_level_m: of the map; that of the flight when left out.
+            others: further fields; the transmitter's z is above the ground beneath it.
+
+        Raises:
+            InputError: the level lies below the lowest ground; or as for any scenario.
+        """
+        lowest = float(city.ground_m.min())
+        if not level_m > lowest:
+            raise InputError(
+                f"the level {level_m:g} m lies below the lowest ground, {lowest:g} m; give an "
+                "altitude above sea level, or one above the ground"
+            )
+        if others.get("transmitter_m") is not None:
+            x, y, z = others["transmitter_m"]
+            others["transmitter_m"] = (x, y, z + city.ground_at(x, y) - lowest)
+        predicted = level_m if prediction_level_m is None else prediction_level_m
+        return cls(
+            city.levelled(lowest),
+            uav_altitude_m=level_m - lowest,
+            prediction_altitude_m=predicted - lowest,
+            datum_m=lowest,
+            **others,
+        )
+
+    @property
+    def altitude_text(self) -> str:
+        """The altitude of flight, and above what it is: ``"10 m above ground"``."""
+        if self.datum_m is None:
+            return f"{self.uav_altitude_m:g} m above ground"
+        above = self.city.ground_datum or "sea level"
+        return f"{self.datum_m + self.uav_altitude_m:g} m above {above}"
 
     @property
     def grid(self) -> Grid:

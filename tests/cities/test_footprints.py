@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skygain.cities.footprints import footprints_city, rasterised, read_footprints
+from skygain.cities.footprints import rasterised, read_footprints
 from skygain.cities.manhattan import manhattan_city
-from skygain.cities.raster import raster_city, save_heights
+from skygain.cities.opening import open_city
+from skygain.cities.raster import save_heights
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 
@@ -44,7 +45,7 @@ def test_one_building_in_the_north_east(tmp_path: Path) -> None:
         {"height": 10.0, "geometry": square(0, 0, 4)},
         {"height": 30.0, "geometry": square(80, 60, 20, 40)},
     ]
-    city = footprints_city(write(tmp_path / "two.gpkg", rows))
+    city = open_city(write(tmp_path / "two.gpkg", rows))
     assert city.grid == Grid((25, 25), 4.0, (600002.0, 4000002.0), UTM)
     assert city.height_m[0, 0] == 10
     assert (city.height_m[15:, 20:] == 30).all()
@@ -60,12 +61,12 @@ def test_manhattan_survives_a_file_and_the_raster(tmp_path: Path, suffix: str) -
         {"height": b.height_m, "geometry": shapely.Polygon(b.footprint_m)} for b in made.buildings
     ]
     path = write(tmp_path / f"m.{suffix}", rows, crs=UTM)
-    read = footprints_city(path, crs="local", box=made.grid.bounds_m)
+    read = open_city(path, crs="local", box=made.grid.bounds_m)
     np.testing.assert_array_equal(read.height_m, made.height_m)
     assert read.grid == made.grid
     assert len(read.buildings) == len(made.buildings)
     save_heights(read, tmp_path / "m.tif")
-    np.testing.assert_array_equal(raster_city(tmp_path / "m.tif").height_m, made.height_m)
+    np.testing.assert_array_equal(open_city(tmp_path / "m.tif").height_m, made.height_m)
 
 
 def test_degrees_become_utm_and_keep_their_place(tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ def test_degrees_become_utm_and_keep_their_place(tmp_path: Path) -> None:
     ]
     path = tmp_path / "d.geojson"
     geopandas.GeoDataFrame(rows, geometry="geometry", crs=UTM).to_crs("EPSG:4326").to_file(path)
-    city = footprints_city(path)
+    city = open_city(path)
     assert city.crs == UTM
     assert [at(city, 25, 25), at(city, 230, 130), at(city, 100, 25)] == [30, 9, 0]
     # GeoJSON keeps 7 decimals of a degree
@@ -88,7 +89,7 @@ def test_stretched_and_foreign_projections_become_utm(tmp_path: Path) -> None:
     )
     for name, crs in (("mercator", "EPSG:3857"), ("feet", "EPSG:2264")):
         frame.to_crs(crs).to_file(tmp_path / f"{name}.gpkg")
-        city = footprints_city(tmp_path / f"{name}.gpkg")
+        city = open_city(tmp_path / f"{name}.gpkg")
         assert city.crs == UTM
         assert shapely.Polygon(city.buildings[0].footprint_m).area == pytest.approx(2500, rel=0.002)
 
@@ -96,7 +97,7 @@ def test_stretched_and_foreign_projections_become_utm(tmp_path: Path) -> None:
 def test_holes_and_multipolygons(tmp_path: Path) -> None:
     ring = square(0, 0, 40).difference(square(12, 12, 16))
     both = shapely.MultiPolygon([ring, square(60, 0, 8)])
-    city = footprints_city(write(tmp_path / "h.gpkg", [{"height": 12.0, "geometry": both}]))
+    city = open_city(write(tmp_path / "h.gpkg", [{"height": 12.0, "geometry": both}]))
     assert [at(city, 2, 2), at(city, 20, 20), at(city, 62, 2)] == [12, 0, 12]
     assert [len(b.holes_m) for b in city.buildings] == [1, 0]
     for building in city.buildings:
@@ -124,7 +125,7 @@ def test_a_bow_tie_is_mended_and_what_has_no_area_is_left_out(tmp_path: Path) ->
 
 def test_the_highest_building_wins(tmp_path: Path) -> None:
     rows = [{"height": h, "geometry": square(0, 0, 20)} for h in (10.0, 30.0, 20.0)]
-    assert at(footprints_city(write(tmp_path / "o.gpkg", rows)), 10, 10) == 30
+    assert at(open_city(write(tmp_path / "o.gpkg", rows)), 10, 10) == 30
 
 
 def test_missing_heights_get_the_default_and_are_counted(tmp_path: Path) -> None:
@@ -143,9 +144,9 @@ def test_missing_heights_get_the_default_and_are_counted(tmp_path: Path) -> None
         "heights or levels not understood": 1,
         "without a height, taken as 9 m": 2,
     }
-    assert footprints_city(path, default_height_m=20).buildings[2].height_m == 20
+    assert open_city(path, default_height_m=20).buildings[2].height_m == 20
     with pytest.raises(InputError, match="default_height_m"):
-        footprints_city(path, default_height_m=-1)
+        open_city(path, default_height_m=-1)
 
 
 def test_a_building_covered_by_parts_is_replaced_by_them(tmp_path: Path) -> None:
@@ -225,7 +226,7 @@ def test_tags_in_the_collective_column(tmp_path: Path) -> None:
             "geometry": square(0, 0, 20),
         }
     ]
-    assert footprints_city(write(tmp_path / "t.gpkg", rows)).buildings[0].height_m == pytest.approx(
+    assert open_city(write(tmp_path / "t.gpkg", rows)).buildings[0].height_m == pytest.approx(
         12.192
     )
 
@@ -237,22 +238,22 @@ def test_box_in_degrees_and_metres(tmp_path: Path) -> None:
     frame.to_crs("EPSG:4326").to_file(tmp_path / "d.gpkg")
     metres = (600180.0, 3999990.0, 600380.0, 4000090.0)
     for name in ("m", "d"):
-        city = footprints_city(tmp_path / f"{name}.gpkg", box=metres)
+        city = open_city(tmp_path / f"{name}.gpkg", box=metres)
         assert city.grid == Grid((25, 50), 4.0, (600182.0, 3999992.0), UTM)
         assert [b.height_m for b in city.buildings] == [12, 13]
     (south, west), (north, east) = Grid((1, 1), 1.0, crs=UTM).latlon(
         [[3999990, 600180], [4000090, 600380]]
     )
     for name in ("m", "d"):
-        city = footprints_city(tmp_path / f"{name}.gpkg", box=(west, south, east, north))
+        city = open_city(tmp_path / f"{name}.gpkg", box=(west, south, east, north))
         assert {12, 13} <= {b.height_m for b in city.buildings}
         assert len(city.buildings) <= 3
         with pytest.raises(InputError, match="swapped"):
-            footprints_city(tmp_path / f"{name}.gpkg", box=(south, west, north, east))
+            open_city(tmp_path / f"{name}.gpkg", box=(south, west, north, east))
         with pytest.raises(InputError, match="misses the data"):
-            footprints_city(tmp_path / f"{name}.gpkg", box=(-80, 37, -79.9, 37.1))
-        with pytest.raises(InputError, match="choose a box inside"):
-            footprints_city(tmp_path / f"{name}.gpkg", box=(1, 1, 2, 2))
+            open_city(tmp_path / f"{name}.gpkg", box=(-80, 37, -79.9, 37.1))
+        with pytest.raises(InputError, match="choose a `box` inside"):
+            open_city(tmp_path / f"{name}.gpkg", box=(1, 1, 2, 2))
 
 
 OSM = """<?xml version='1.0' encoding='UTF-8'?>
@@ -317,25 +318,27 @@ def test_layers(tmp_path: Path) -> None:
     for name, height in (("roads", 1.0), ("old", 5.0), ("new", 6.0)):
         geometry = shapely.LineString([(0, 0), (9, 9)]) if name == "roads" else square(0, 0, 20)
         write(path, [{"height": height, "geometry": geometry}], layer=name)
-    with pytest.raises(InputError, match="found old, new; give layer"):
-        footprints_city(path)
-    assert footprints_city(path, layer="new").height_m.max() == 6
-    with pytest.raises(InputError, match="no layer 'none'; the file has roads, old, new"):
-        footprints_city(path, layer="none")
+    with pytest.raises(InputError, match="found old, new; give `layer`"):
+        open_city(path)
+    assert open_city(path, layer="new").height_m.max() == 6
+    with pytest.raises(
+        InputError, match=r"no layer .none.; give as `layer` one of roads, old, new"
+    ):
+        open_city(path, layer="none")
     write(path, [{"height": 7.0, "geometry": square(0, 0, 20)}], layer="Buildings")
-    assert footprints_city(path).height_m.max() == 7
+    assert open_city(path).height_m.max() == 7
 
 
 def test_a_coordinate_system_is_needed(tmp_path: Path) -> None:
     path = write(tmp_path / "n.gpkg", [{"height": 5.0, "geometry": square(0, 0, 20)}], crs=None)
-    with pytest.raises(InputError, match="give crs"):
-        footprints_city(path)
-    assert footprints_city(path, crs=UTM).crs == UTM
-    assert footprints_city(path, crs="local").crs is None
+    with pytest.raises(InputError, match="give `crs`"):
+        open_city(path)
+    assert open_city(path, crs=UTM).crs == UTM
+    assert open_city(path, crs="local").crs is None
     with pytest.raises(InputError, match="not longitudes and latitudes"):
-        footprints_city(path, crs="EPSG:4326")
+        open_city(path, crs="EPSG:4326")
     with pytest.raises(InputError, match="unknown coordinate reference system"):
-        footprints_city(path, crs="EPSG:1")
+        open_city(path, crs="EPSG:1")
 
 
 def geojson(*geometries: dict[str, Any]) -> str:
@@ -358,9 +361,9 @@ def ring(*corners: tuple[float, float]) -> dict[str, Any]:
             geojson({"type": "Point", "coordinates": [11, 48]}),
             "no building polygons, found 1 without a polygon",
         ),
-        (geojson(ring((691000, 5334000), (691010, 5334000), (691010, 5334010))), "give crs"),
+        (geojson(ring((691000, 5334000), (691010, 5334000), (691010, 5334010))), "give `crs`"),
         (geojson(ring((48.1, 111.5), (48.2, 111.5), (48.2, 111.6))), "swapped"),
-        (geojson(ring((1, 1), (50, 1), (50, 50))), "smaller box"),
+        (geojson(ring((1, 1), (50, 1), (50, 50))), "smaller `box`"),
         ("<OGRVRTDataSource></OGRVRTDataSource>", "no layer at all"),
     ],
 )
@@ -368,7 +371,7 @@ def test_unusable_geojson(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "bad.geojson"
     path.write_text(content)
     with pytest.raises(InputError, match=message) as error:
-        footprints_city(path)
+        open_city(path)
     assert "\n" not in str(error.value)
     assert "bad.geojson" in str(error.value)
 
@@ -382,7 +385,7 @@ def test_a_file_cannot_send_the_reader_elsewhere(tmp_path: Path) -> None:
         f'<OGRVRTDataSource><OGRVRTLayer name="other">{source}</OGRVRTLayer></OGRVRTDataSource>'
     )
     with pytest.raises(InputError, match="OGR_VRT"):
-        footprints_city(path)
+        open_city(path)
 
 
 def test_no_buildings_is_open_ground() -> None:
@@ -413,9 +416,9 @@ def test_a_box_sees_the_parts_beyond_its_edge(tmp_path: Path) -> None:
         },
     ]
     path = write(tmp_path / "e.gpkg", rows)
-    whole = footprints_city(path)
-    part = footprints_city(path, box=(600000, 4e6, 600020, 4000020))
+    whole = open_city(path)
+    part = open_city(path, box=(600000, 4e6, 600020, 4000020))
     np.testing.assert_array_equal(part.height_m, whole.height_m[:5, :5])
     assert [b.height_m for b in part.buildings] == [12]
-    with pytest.raises(InputError, match="choose a box that has some"):
-        footprints_city(path, box=(600100, 4e6, 600120, 4000020))
+    with pytest.raises(InputError, match="choose a `box` that has some"):
+        open_city(path, box=(600100, 4e6, 600120, 4000020))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skygain.cities import central_crop, manhattan_city, open_city, random_crop, read_city
+from skygain.cities import manhattan_city, open_city, read_city
 from skygain.cities.raster import save_heights
 from skygain.ground.errors import InputError
 
@@ -52,27 +52,10 @@ def test_what_is_no_city(spec: str, message: str) -> None:
 
 
 def test_options_that_mean_nothing_are_refused() -> None:
-    with pytest.raises(InputError, match="crs does not apply"):
+    with pytest.raises(InputError, match="`crs` does not apply"):
         open_city("7", crs="EPSG:4326")
-    with pytest.raises(InputError, match="layer does not apply"):
-        open_city("a.tif", layer="x")
-
-
-def test_crops() -> None:
-    city = manhattan_city(3)
-    middle = central_crop(city, (96, 97))
-    np.testing.assert_array_equal(middle.height_m, city.height_m[12:108, 12:109])
-    assert middle.grid.origin_m == (51.0, 51.0)
-    crops = [random_crop(city, (96, 96), np.random.default_rng(s), rebase=True) for s in (1, 1, 2)]
-    assert crops[0].height_m.tobytes() == crops[1].height_m.tobytes()
-    assert crops[0].height_m.tobytes() != crops[2].height_m.tobytes()
-    assert crops[0].grid.origin_m == (0.0, 0.0)
-    assert random_crop(city, (121, 121), np.random.default_rng(0)).grid == city.grid
-    for shape in ((122, 10), (0, 5)):
-        with pytest.raises(InputError, match="does not fit"):
-            central_crop(city, shape)
-        with pytest.raises(InputError, match="does not fit"):
-            random_crop(city, shape, np.random.default_rng(0))
+    with pytest.raises(InputError, match="`terrain` does not apply"):
+        open_city("7", terrain="none")
 
 
 def test_import_loads_nothing_heavy() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from skygain.cities.manhattan import manhattan_city
-from skygain.cities.raster import raster_city, read_raster, save_heights
+from skygain.cities.opening import open_city
+from skygain.cities.raster import read_raster, save_heights
 from skygain.city import City
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
@@ -53,7 +54,7 @@ def heights(**cells: float) -> np.ndarray:
 
 
 def test_north_is_the_last_row(tmp_path: Path) -> None:
-    city = raster_city(write(tmp_path / "corner.tif", heights()))
+    city = open_city(write(tmp_path / "corner.tif", heights()))
     assert city.grid == Grid((6, 8), 4.0, (600002.0, 4000002.0), "EPSG:32617")
     assert (city.height_m[-2:, -3:] == 20).all()
     assert np.count_nonzero(city.height_m) == 6
@@ -61,7 +62,7 @@ def test_north_is_the_last_row(tmp_path: Path) -> None:
 
 
 def test_latitude_grows_with_the_row_and_longitude_with_the_column(tmp_path: Path) -> None:
-    grid = raster_city(write(tmp_path / "corner.tif", heights())).grid
+    grid = open_city(write(tmp_path / "corner.tif", heights())).grid
     south_west, north_west, south_east = grid.latlon([(0, 0), (5, 0), (0, 7)])
     assert north_west[0] > south_west[0]
     assert south_east[1] > south_west[1]
@@ -73,7 +74,7 @@ def test_a_saved_city_comes_back(tmp_path: Path, crs: str | None) -> None:
     made = manhattan_city(4)
     city = City(Grid((121, 121), 4.0, made.grid.origin_m, crs), made.height_m)
     save_heights(city, tmp_path / "m.tif")
-    back = raster_city(tmp_path / "m.tif")
+    back = open_city(tmp_path / "m.tif")
     assert back.grid == city.grid
     np.testing.assert_array_equal(back.height_m, city.height_m)
     assert [p.name for p in tmp_path.iterdir()] == ["m.tif"]
@@ -89,18 +90,18 @@ def test_saving_where_one_cannot_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_a_south_up_raster_is_the_same_city(tmp_path: Path) -> None:
-    north_up = raster_city(write(tmp_path / "n.tif", heights()))
+    north_up = open_city(write(tmp_path / "n.tif", heights()))
     upside_down = rasterio.Affine(4, 0, 600000, 0, 4, 4e6)
-    south_up = raster_city(write(tmp_path / "s.tif", heights()[::-1].copy(), upside_down))
+    south_up = open_city(write(tmp_path / "s.tif", heights()[::-1].copy(), upside_down))
     np.testing.assert_array_equal(south_up.height_m, north_up.height_m)
     assert south_up.grid == north_up.grid
 
 
 def test_finer_and_coarser_cells_take_the_value_at_their_centre(tmp_path: Path) -> None:
     path = write(tmp_path / "c.tif", heights())
-    own = raster_city(path)
+    own = open_city(path)
     for spacing in (1.0, 2.0, 12.0):
-        city = raster_city(path, spacing_m=spacing)
+        city = open_city(path, spacing_m=spacing)
         at = own.grid.cells_at(city.grid.xy_m(city.grid.cells))
         np.testing.assert_array_equal(city.height_m.ravel(), own.height_m[at[:, 0], at[:, 1]])
 
@@ -117,7 +118,7 @@ def test_a_raster_in_degrees_goes_to_utm(tmp_path: Path) -> None:
         rasterio.Affine(step, 0, lon - 300 * step, 0, -step, lat + 300 * step),
         "EPSG:4326",
     )
-    city = raster_city(path)
+    city = open_city(path)
     assert city.crs == "EPSG:32617"
     assert city.grid.spacing_m == 4.0
     built = city.height_m > 0
@@ -129,18 +130,18 @@ def test_a_raster_in_degrees_goes_to_utm(tmp_path: Path) -> None:
 
 def test_box_in_metres_and_degrees(tmp_path: Path) -> None:
     path = write(tmp_path / "c.tif", heights())
-    whole = raster_city(path)
-    part = raster_city(
+    whole = open_city(path)
+    part = open_city(
         path, box=(600008.5, 4000007.5, 600024.2, 4000020.1)
     )  # nearest pixel edges: 8..24, 8..20
     np.testing.assert_array_equal(part.height_m, whole.height_m[2:5, 2:6])
     assert part.grid == whole.grid.cropped(2, 2, (3, 4))
     (south, west), (north, east) = whole.grid.latlon([(2, 2), (4, 5)])
-    assert raster_city(path, box=(west, south, east, north)).grid.contains((0, 0))
+    assert open_city(path, box=(west, south, east, north)).grid.contains((0, 0))
     with pytest.raises(InputError, match="swapped"):
-        raster_city(path, box=(south, west, north, east))
+        open_city(path, box=(south, west, north, east))
     with pytest.raises(InputError, match="misses the data"):
-        raster_city(path, box=(0, 0, 100, 100))
+        open_city(path, box=(0, 0, 100, 100))
 
 
 def test_a_box_beyond_the_data_is_open_ground_and_counted(tmp_path: Path) -> None:
@@ -169,22 +170,22 @@ def test_integer_nodata_and_scale(tmp_path: Path) -> None:
     path = write(tmp_path / "c.tif", values, nodata=65535)
     with rasterio.open(path, "r+") as sink:
         sink.scales = (0.1,)
-    np.testing.assert_allclose(raster_city(path).height_m, [[0, 10], [0, 20]])
+    np.testing.assert_allclose(open_city(path).height_m, [[0, 10], [0, 20]])
 
 
 def test_heights_in_feet(tmp_path: Path) -> None:
-    assert raster_city(
+    assert open_city(
         write(tmp_path / "c.tif", heights(), units="ft")
     ).height_m.max() == pytest.approx(6.096)
     with pytest.raises(InputError, match="furlong"):
-        raster_city(write(tmp_path / "d.tif", heights(), units="furlong"))
+        open_city(write(tmp_path / "d.tif", heights(), units="furlong"))
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         (np.full((4, 4), np.nan, np.float32), "no cell has a value"),
-        (heights() + 95, "no cell is at street level"),
+        (heights() + 95, "no cell at street level, so the terrain"),
         (heights() * 100, "not building heights"),
         (heights() - 9999, "not building heights"),
         (np.zeros((4, 4), np.complex64), "real numbers"),
@@ -192,33 +193,33 @@ def test_heights_in_feet(tmp_path: Path) -> None:
 )
 def test_values_that_are_no_heights(tmp_path: Path, values: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message) as error:
-        raster_city(write(tmp_path / "c.tif", values))
+        open_city(write(tmp_path / "c.tif", values))
     assert "\n" not in str(error.value)
 
 
 def test_pictures_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="picture"):
-        raster_city(write(tmp_path / "c.tif", np.zeros((3, 4, 4), np.uint8), photometric="rgb"))
+        open_city(write(tmp_path / "c.tif", np.zeros((3, 4, 4), np.uint8), photometric="rgb"))
     with pytest.raises(InputError, match="no band 2"):
-        raster_city(write(tmp_path / "d.tif", heights()), band=2)
+        open_city(write(tmp_path / "d.tif", heights()), height_field="2")
 
 
 def test_georeference_is_needed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="georeference"):
-        raster_city(write(tmp_path / "a.tif", heights(), rasterio.Affine.identity(), None))
+        open_city(write(tmp_path / "a.tif", heights(), rasterio.Affine.identity(), None))
     degrees = rasterio.Affine(1e-5, 0, 11, 0, -1e-5, 48)
-    with pytest.raises(InputError, match="give crs"):
-        raster_city(write(tmp_path / "b.tif", heights(), degrees, None))
+    with pytest.raises(InputError, match="give `crs`"):
+        open_city(write(tmp_path / "b.tif", heights(), degrees, None))
     assert (
-        raster_city(
+        open_city(
             write(tmp_path / "b.tif", heights(), degrees, None), crs="EPSG:4326", spacing_m=1
         ).crs
         == "EPSG:32632"
     )
     with pytest.raises(InputError, match="EPSG:32617"):
-        raster_city(write(tmp_path / "c.tif", heights(), crs="EPSG:4326"))
+        open_city(write(tmp_path / "c.tif", heights(), crs="EPSG:4326"))
     with pytest.raises(InputError, match="unknown coordinate"):
-        raster_city(write(tmp_path / "c.tif", heights()), crs="nonsense")
+        open_city(write(tmp_path / "c.tif", heights()), crs="nonsense")
 
 
 def test_damaged_and_foreign_files(tmp_path: Path) -> None:
@@ -235,11 +236,12 @@ def test_damaged_and_foreign_files(tmp_path: Path) -> None:
         path = tmp_path / f"{name}.tif"
         path.write_bytes(content)
         with pytest.raises(InputError, match=f"{name}.tif"):
-            raster_city(path)
+            open_city(path)
     with pytest.raises(InputError, match="no file"):
-        raster_city(tmp_path / "absent.tif")
+        open_city(tmp_path / "absent.tif")
+    (tmp_path / "folder.tif").mkdir()
     with pytest.raises(InputError, match="no file"):
-        raster_city(tmp_path)
+        open_city(tmp_path / "folder.tif")
 
 
 def test_a_few_bytes_cannot_ask_for_terabytes(tmp_path: Path) -> None:
@@ -258,10 +260,10 @@ def test_a_few_bytes_cannot_ask_for_terabytes(tmp_path: Path) -> None:
     ):
         pass
     with pytest.raises(InputError, match="cells, more than"):
-        raster_city(path)
+        open_city(path)
     with pytest.raises(InputError, match="too many to read at once"):
-        raster_city(path, spacing_m=1000)
-    assert raster_city(path, box=(500_000, 4_500_000, 500_100, 4_500_100)).grid.shape == (100, 100)
+        open_city(path, spacing_m=1000)
+    assert open_city(path, box=(500_000, 4_500_000, 500_100, 4_500_100)).grid.shape == (100, 100)
 
 
 def test_a_city_without_free_cells_is_refused_by_the_scenario(tmp_path: Path) -> None:

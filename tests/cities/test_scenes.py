@@ -70,5 +70,5 @@ def test_unknown_scenes_and_boxes() -> None:
         scene_city("atlantis")
     with pytest.raises(InputError, match="misses the scene"):
         scene_city("simple_street_canyon", box=(1000, 1000, 1100, 1100))
-    with pytest.raises(InputError, match="smaller box or a larger spacing"):
+    with pytest.raises(InputError, match="smaller `box` or a larger `spacing_m`"):
         scene_city("simple_street_canyon", spacing_m=0.01)

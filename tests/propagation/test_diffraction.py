@@ -172,3 +172,45 @@ def test_unusable_arguments_are_named(
     city = city_of([box(20, 20, 60, 60, 12.0)])
     with pytest.raises(InputError):
         over_rooftop_gain_db(city, transmitter, altitude, frequency_hz=frequency)
+
+
+def test_level_ground_changes_nothing() -> None:
+    from dataclasses import replace
+
+    city = city_of([box(40, 40, 60, 60, 25.0)])
+    transmitters = [(10.0, 10.0, 1.5), (-300.0, 50.0, 30.0)]
+    flat = over_rooftop_gain_db(city, transmitters, [2.0, 40.0])
+    raised = replace(city, ground_m=np.float32(431.5))
+    np.testing.assert_array_equal(over_rooftop_gain_db(raised, transmitters, [2.0, 40.0]), flat)
+
+
+def test_a_hill_is_worth_what_a_building_of_its_height_is() -> None:
+    """A ridge of ground shadows what lies behind it exactly as a wall of that height does."""
+    from dataclasses import replace
+
+    city = city_of([])
+    wall, hill = np.zeros(city.grid.shape, np.float32), np.zeros(city.grid.shape, np.float32)
+    wall[:, 12:15] = hill[:, 12:15] = 18.0
+    walled = over_rooftop_gain_db(replace(city, height_m=wall), [(10.0, 60.0, 1.5)], [2.0])[0, 0]
+    hilly = over_rooftop_gain_db(replace(city, ground_m=hill), [(10.0, 60.0, 1.5)], [2.0])[0, 0]
+    behind = np.ones(city.grid.shape, bool)
+    behind[:, 12:15] = False
+    np.testing.assert_allclose(hilly[behind], walled[behind], atol=1e-5)
+    on_top = over_rooftop_gain_db(city, [(10.0, 60.0, 1.5)], [20.0])[0, 0]
+    np.testing.assert_allclose(
+        hilly[:, 12], on_top[:, 12], atol=1.5
+    )  # a receiver 20 m up, by ridge
+
+
+def test_both_ends_stand_on_their_own_ground() -> None:
+    """On a plane that tilts, every path clears the ground as it does on level ground."""
+    from dataclasses import replace
+
+    city = city_of([])
+    tilt = 0.2 * 4.0 * np.arange(city.grid.shape[1])[None] + np.zeros(city.grid.shape)
+    flat = over_rooftop_gain_db(city, [(10.0, 60.0, 5.0)], [5.0], earth_radius_m=np.inf)[0, 0]
+    slope = over_rooftop_gain_db(
+        replace(city, ground_m=tilt), [(10.0, 60.0, 5.0)], [5.0], earth_radius_m=np.inf
+    )[0, 0]
+    far = np.hypot(*(city.grid.xy_m(city.grid.cells) - (10.0, 60.0)).T).reshape(slope.shape) > 30
+    np.testing.assert_allclose(slope[far], flat[far], atol=1.5)

@@ -1,9 +1,10 @@
-"""Cities from building footprints: GeoJSON, GeoPackage, Shapefile and OpenStreetMap (.osm,
-.osm.pbf).
+"""Cities from building footprints, in any format that `skygain.cities.vector` reads.
 
 Polygons become prisms. Roof shapes are ignored: a building has one height, that of its highest
-point, as OpenStreetMap's ``height`` is defined. Three rules need saying:
+point, as OpenStreetMap's ``height`` is defined. Four rules need saying:
 
+- *Buildings.* A polygon tagged ``building`` or ``building:part`` is one, and so is one with a
+  height or levels. Where nothing is tagged, every polygon is one.
 - *Parts.* Where polygons tagged ``building:part`` lie on a building, they count and the building's
   own outline does not: the outline keeps its height only where no part covers it, and goes entirely
   if less than a tenth is left.
@@ -16,7 +17,7 @@ point, as OpenStreetMap's ``height`` is defined. Three rules need saying:
 
 from __future__ import annotations
 
-__all__ = ["DEFAULT_HEIGHT_M", "footprints_city", "rasterised", "read_footprints"]
+__all__ = ["DEFAULT_HEIGHT_M", "rasterised", "read_footprints"]
 
 import math
 from collections import Counter
@@ -28,16 +29,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.cities.tags import LEVEL_M, BuildingTags, read_tags
-from skygain.cities.vector import VectorLayer, open_layer
-from skygain.city import Building, City
-from skygain.frames import (
-    Bounds,
+from skygain.cities.layers import Z
+from skygain.cities.reading import (
+    CityOptions,
     Reading,
-    box_in_metres,
     check_overlap,
     city_name,
     existing_file,
+)
+from skygain.cities.tags import (
+    LEVEL_M,
+    BuildingTags,
+    HeightField,
+    height_like,
+    parse_height_field,
+    plain_name,
+    read_tags,
+)
+from skygain.cities.vector import Layer, open_layer
+from skygain.city import Building, City
+from skygain.frames import (
+    Bounds,
+    box_in_metres,
     grid_over,
     in_degrees,
     metric_crs,
@@ -59,44 +72,12 @@ _COVERED = 0.9
 """share of an outline that parts must cover to replace it entirely"""
 
 
-def footprints_city(
-    path: str | Path,
-    *,
-    spacing_m: float = 4.0,
-    crs: str | None = None,
-    box: Bounds | None = None,
-    layer: str | None = None,
-    default_height_m: float = DEFAULT_HEIGHT_M,
-) -> City:
-    """The city of `read_footprints`, without the account of what was assumed."""
-    return read_footprints(
-        path, spacing_m=spacing_m, crs=crs, box=box, layer=layer, default_height_m=default_height_m
-    ).city
-
-
-def read_footprints(
-    path: str | Path,
-    *,
-    spacing_m: float = 4.0,
-    crs: str | None = None,
-    box: Bounds | None = None,
-    layer: str | None = None,
-    default_height_m: float = DEFAULT_HEIGHT_M,
-) -> Reading:
+def read_footprints(path: str | Path, options: CityOptions | None = None, **given: Any) -> Reading:
     """Read building footprints.
-
-    If any polygon of the file is tagged ``building`` or ``building:part``, only such polygons are
-    buildings; else all are.
 
     Args:
         path: the file; its ending says what it is (see `skygain.cities.vector.SUFFIXES`).
-        spacing_m: side of a cell.
-        crs: coordinate reference system of the file's coordinates, against what the file says;
-            ``"local"`` for plain metres.
-        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's
-            projection; everything when left out.
-        layer: which layer, where the file has several with polygons.
-        default_height_m: height of a building without one.
+        options: how; ``given`` are single fields of `CityOptions`, which count before it.
 
     Returns:
         The city with its polygons, in the file's projection or, if that is none in true metres, in
@@ -106,13 +87,15 @@ def read_footprints(
         InputError: the file is unreadable, has no building polygons (in the box), no coordinate
             reference system, or coordinates that do not fit it.
     """
+    options = replace(options or CityOptions(), **given)
     path = existing_file(path)
-    if not (math.isfinite(default_height_m) and default_height_m > 0):
-        raise InputError(
-            f"default_height_m must be a positive number of metres, got {default_height_m}"
-        )
+    default = options.default_height_m
+    if default is not None and not (math.isfinite(default) and default > 0):
+        raise InputError(f"`default_height_m` must be a positive number of metres, got {default}")
+    if options.terrain is not None and options.terrain.startswith("band:"):
+        raise InputError(f"{path.name}: footprints have no bands; give `terrain` as a raster file")
     try:
-        return _read(path, spacing_m, crs, box, layer, default_height_m)
+        return _read(path, options)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     except require("shapely", "geo").errors.GEOSException as error:
@@ -140,21 +123,24 @@ def rasterised(buildings: Sequence[Building], grid: Grid) -> NDArray[np.float32]
     return np.ascontiguousarray(height[::-1], dtype=np.float32)
 
 
-def _read(
-    path: Path,
-    spacing_m: float,
-    crs: str | None,
-    box: Bounds | None,
-    layer: str | None,
-    default_height_m: float,
-) -> Reading:
-    source = open_layer(path, layer, crs)
+def _read(path: Path, options: CityOptions) -> Reading:
+    box, spacing_m = options.box, 4.0 if options.spacing_m is None else options.spacing_m
+    field = parse_height_field(options.height_field)
+    source = open_layer(
+        path,
+        options.layer,
+        options.crs,
+        field=field.name if field else None,
+        skip_bad=options.skip_bad,
+    )
+    field = _found(field, source)
     target, bounds, window = _frame(source.crs, box)
-    geometries, attributes = source.features(window)
+    geometries, attributes = source.features(window, field.name if field else None)
     if box is not None and window is not None and not len(geometries):
         _explain_miss(source, window, box)
     counts: Counter[str] = Counter()
-    geometries, tags = _selected(geometries, [read_tags(a) for a in attributes], counts)
+    counts["lines that are no features, left out"] = source.left_out
+    geometries, tags = _selected(geometries, [read_tags(a, field) for a in attributes], counts)
     if bounds is None and len(geometries):
         target = metric_crs(source.crs, _bounds(geometries))
     polygons, tags = _polygons(_projected(geometries, source.crs, target), tags, counts)
@@ -167,6 +153,8 @@ def _read(
             f"no building polygons{' in the box' if box else ''}, found {found}; expected polygons "
             "with an area"
         )
+    if target is None:
+        _check_metres(polygons)
     if bounds is None:
         data_m = _bounds(polygons)
         bounds = _outward(data_m, spacing_m) if box is None else box_in_metres(box, target)
@@ -177,18 +165,107 @@ def _read(
         *_with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m
     )
     if not len(polygons):
-        raise InputError("no building polygons in the box; choose a box that has some")
-    buildings = _prisms(polygons, tags, default_height_m, counts)
-    city = City(
-        grid=grid, height_m=rasterised(buildings, grid), buildings=buildings, name=city_name(path)
-    )
+        raise InputError("no building polygons in the box; choose a `box` that has some")
+    city = City(grid=grid, height_m=np.zeros(grid.shape, np.float32), name=city_name(path))
+    remarks: list[str] = []
+    if options.terrain not in (None, "none"):
+        city = _over(city, str(options.terrain))
+        remarks.append(
+            f"the ground lies {city.ground_m.min():.4g} to {city.ground_m.max():.4g} m high"
+        )
+    tags = _by_third_coordinate(polygons, tags, city, options, counts, remarks)
+    default = DEFAULT_HEIGHT_M if options.default_height_m is None else options.default_height_m
+    missing = sum(tag.height_m is None for tag in tags)
+    buildings = _prisms(polygons, tags, default, counts)
+    city = replace(city, buildings=buildings, height_m=rasterised(buildings, grid))
+    named = [name for name in source.fields if height_like(name)]
+    if 2 * missing > len(tags) and named and field is None:
+        remarks.append(
+            f"heights may stand in {', '.join(named[:5])}: give `height_field` with the unit, e.g. "
+            f"{named[0]}:ft"
+        )
+    if not city.height_m.any():
+        remarks.append(
+            f"no cell's centre is built up, the buildings are smaller than cells of {spacing_m:g} "
+            "m; give a smaller `spacing_m`"
+        )
     return Reading(
         city,
         {
             "buildings": len(buildings),
             **{what: count for what, count in sorted(counts.items()) if count},
         },
+        tuple(remarks),
     )
+
+
+def _found(field: HeightField | None, source: Layer) -> HeightField | None:
+    """The field as the layer calls it.
+
+    Raises:
+        InputError: it has none of that name.
+    """
+    if field is None or field.name in source.fields or source.is_osm or not source.fields:
+        return field
+    for name in source.fields:
+        if plain_name(name) == plain_name(field.name):
+            return replace(field, name=name)
+    if field.name.lower() == "z":
+        return replace(field, name=Z)
+    raise InputError(
+        f"there is no column {field.name!r} for `height_field`; the file has "
+        f"{', '.join(source.fields)[:300]}"
+    )
+
+
+def _check_metres(polygons: NDArray[np.object_]) -> None:
+    west, south, east, north = _bounds(polygons)
+    if max(east - west, north - south) < 2.0 and in_degrees((west, south, east, north)):
+        raise InputError(
+            f"all polygons lie within {max(east - west, north - south):.3g} m, so the coordinates "
+            "look like degrees; give `crs` as 'EPSG:4326'"
+        )
+
+
+def _over(city: City, terrain: str) -> City:
+    """The city on the ground that the terrain model says."""
+    from skygain.cities.elevations import filled
+    from skygain.cities.raster import terrain_on
+
+    ground, datum = terrain_on(terrain, city.grid)
+    return replace(city, ground_m=filled(ground)[0].astype(np.float32), ground_datum=datum)
+
+
+def _by_third_coordinate(
+    polygons: NDArray[np.object_],
+    tags: list[BuildingTags],
+    city: City,
+    options: CityOptions,
+    counts: Counter[str],
+    remarks: list[str],
+) -> list[BuildingTags]:
+    """Heights from the polygons' own third coordinate, where the ground beneath is known."""
+    known = [tag.z_m for tag in tags if tag.z_m is not None and tag.height_m in (None, tag.z_m)]
+    asked = options.height_field is not None and options.height_field.lower().startswith("z")
+    over_terrain = options.terrain not in (None, "none")
+    if not known or not (asked or all(tag.height_m is None for tag in tags)):
+        return tags
+    if not over_terrain:
+        if not asked:
+            remarks.append(
+                f"the polygons have a third coordinate from {min(known):g} to {max(known):g} m, "
+                "which is not used: give `terrain` if it is the roofs' height above sea level, or "
+                "`height_field` z if it is above ground"
+            )
+        return tags
+    found = []
+    for polygon, tag in zip(polygons, tags, strict=True):
+        if tag.z_m is not None and tag.height_m in (None, tag.z_m):
+            above = tag.z_m - city.ground_at(polygon.centroid.x, polygon.centroid.y)
+            counts["heights from the third coordinate minus the terrain"] += above > 0
+            tag = replace(tag, height_m=above if 0 < above <= 1000 else None)
+        found.append(tag)
+    return found
 
 
 def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | None, Bounds | None]:
@@ -213,7 +290,7 @@ def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | No
     return None, None, None
 
 
-def _explain_miss(source: VectorLayer, window: Bounds, box: Bounds) -> None:
+def _explain_miss(source: Layer, window: Bounds, box: Bounds) -> None:
     extent = source.extent()
     if extent is not None:
         check_overlap(window, extent, box, source.crs)
@@ -227,6 +304,9 @@ def _selected(
     if not wanted.any():
         wanted[:] = True
     else:
+        tall = ~wanted & np.array([t.is_tall for t in tags], dtype=bool)
+        counts["untagged polygons with a height, taken as buildings"] += int(tall.sum())
+        wanted |= tall
         counts["features that are no buildings, left out"] += int((~wanted).sum())
     underground = wanted & np.array([t.is_underground for t in tags], dtype=bool)
     counts["underground, left out"] += int(underground.sum())
@@ -311,7 +391,7 @@ def _with_parts(
                 else [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and p.area > 0]
             )
             for j in own:
-                if part_tags[int(j)].height_m is None:
+                if part_tags[int(j)].height_m is None and tags[i].height_m is not None:
                     part_tags[int(j)] = replace(part_tags[int(j)], height_m=tags[i].height_m)
         found += pieces
         found_tags += [tags[i]] * len(pieces)
@@ -371,7 +451,7 @@ def _outward(bounds_m: Bounds, spacing_m: float) -> Bounds:
     their cells."""
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise InputError(
-            f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
+            f"`spacing_m` must be a positive number of metres, got {spacing_m}; 4 is usual"
         )
     west, south, east, north = bounds_m
     low = np.floor(np.array([west, south]) / spacing_m) * spacing_m

@@ -1,94 +1,66 @@
 """Cities from GeoTIFF rasters of building height, and back.
 
-The raster holds height above the ground in metres (surface model minus terrain model). A cell takes
-the value at its centre, which is what `City.height_m` means, so resampling neither widens nor
-lowers a building.
+The raster holds heights above the ground, or a surface model whose terrain comes from another file
+or from its second band (see `skygain.cities.elevations`). A cell takes the value at its centre,
+which is what `City.height_m` means, so resampling neither widens nor lowers a building.
 """
 
 from __future__ import annotations
 
-__all__ = ["MAX_HEIGHT_M", "raster_city", "read_raster", "save_heights"]
+__all__ = ["SUFFIXES", "read_raster", "save_heights", "terrain_on"]
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.cities.elevations import (
+    UNITS_M,
+    Heights,
+    heights_above_ground,
+    heights_over_terrain,
+)
+from skygain.cities.reading import (
+    CityOptions,
+    Reading,
+    check_overlap,
+    city_name,
+    existing_file,
+)
 from skygain.city import City
 from skygain.frames import (
     MAX_CELLS,
     Bounds,
-    Reading,
     box_in_metres,
-    check_overlap,
-    city_name,
-    existing_file,
     grid_over,
     metric_crs,
     parse_crs,
     transformed_bounds,
+    vertical_datum,
 )
 from skygain.grid import Grid
 from skygain.ground.errors import InputError, require
 
-MAX_HEIGHT_M = 1000.0
-"""no building is higher"""
-
-_MAX_DEPTH_M = 100.0
-"""a surface model minus a terrain model errs below zero, but not by more than this"""
-
-_STREET_M = 2.0
-"""a map of heights above ground has a cell lower than this somewhere"""
+SUFFIXES = (".tif", ".tiff")
+"""endings of files that are read"""
 
 _DEFAULT_SPACING_M = 4.0
 
-_UNITS_M = {
-    "m": 1.0,
-    "metre": 1.0,
-    "meter": 1.0,
-    "ft": 0.3048,
-    "foot": 0.3048,
-    "feet": 0.3048,
-    "us survey foot": 1200 / 3937,
-    "cm": 0.01,
-    "dm": 0.1,
-}
 
-
-def raster_city(
-    path: str | Path,
-    *,
-    spacing_m: float | None = None,
-    crs: str | None = None,
-    box: Bounds | None = None,
-    band: int = 1,
-) -> City:
-    """The city of `read_raster`, without the account of what was mended."""
-    return read_raster(path, spacing_m=spacing_m, crs=crs, box=box, band=band).city
-
-
-def read_raster(
-    path: str | Path,
-    *,
-    spacing_m: float | None = None,
-    crs: str | None = None,
-    box: Bounds | None = None,
-    band: int = 1,
-) -> Reading:
-    """Read a GeoTIFF of heights above ground.
+def read_raster(path: str | Path, options: CityOptions | None = None, **given: Any) -> Reading:
+    """Read a GeoTIFF of building heights.
 
     Args:
         path: the file.
-        spacing_m: side of a cell; left out, the raster's own if it is upright, square and in true
-            metres, else 4 m.
-        crs: coordinate reference system of the file's coordinates, against what the file says;
-            ``"local"`` for plain metres.
-        box: (west, south, east, north) of the part wanted, in degrees or in metres of the map's
-            projection.
-        band: which band holds the heights, from 1.
+        options: how; ``given`` are single fields of `CityOptions`, which count before it. The
+            spacing left out is the raster's own if it is upright, square and in true metres, else
+            4 m.
 
     Returns:
         The city, georeferenced if the file is. Cells without data and cells below ground are open
@@ -96,30 +68,78 @@ def read_raster(
 
     Raises:
         InputError: the file is no GeoTIFF or is damaged, has no usable georeference, is too large,
-            the box misses it, or the values cannot be heights above ground.
+            the box misses it, the values cannot be heights, or the terrain is in them and no
+            terrain is given.
     """
+    options = replace(options or CityOptions(), **given)
     path = existing_file(path)
-    rasterio = require("rasterio", "geo")
+    options.refuse(path.name, "layer", "default_height_m", "skip_bad")
+    with _opened(path) as source:
+        band, unit_m, said = _band(source, options.height_field)
+        grid, own, target = _frame(source, options)
+        values = _sampled(source, grid, own, target, band) * unit_m
+        below = _own_terrain(source, band, options.terrain)
+        ground = None
+        if below is not None:
+            ground = _sampled(source, grid, own, target, below) * unit_m
+        declared = vertical_datum(source.crs.to_wkt() if source.crs else None)
+    datum = declared[0] if declared else None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", rasterio.errors.NotGeoreferencedWarning
-            )  # _check_local says it, with the remedy
-            with rasterio.open(path, driver="GTiff") as source:
-                grid, height, unit_m = _read(source, spacing_m, crs, box, band)
+        if ground is None and options.terrain not in (None, "none"):
+            ground, datum = terrain_on(options.terrain, grid, datum)
+        heights = _understood(values, ground, grid, options.terrain)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
-    # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
-    except Exception as error:
-        raise InputError(
-            f"{path.name} is not a readable GeoTIFF ({_one_line(error)}); it may be cut off, "
-            "export it again"
-        ) from error
+    if declared and not heights.ground_m.any():
+        said += (f"heights are declared above {declared[0]}; the ground lies at 0 there",)
+    city = City(
+        grid=grid,
+        height_m=heights.height_m,
+        name=city_name(path),
+        ground_m=heights.ground_m,
+        ground_datum=datum,
+    )
+    if not heights.height_m.any():
+        said += ("nothing is built: every cell is open ground",)
+    return Reading(city, heights.counts, (*said, *heights.remarks))
+
+
+def terrain_on(
+    terrain: str | None, grid: Grid, surface_datum: str | None = None
+) -> tuple[NDArray[np.float64], str | None]:
+    """Height of the ground on a grid, NaN where the terrain model has none, and what it is
+    measured from.
+
+    Args:
+        terrain: a raster file, or one height in metres.
+        grid: the city's.
+        surface_datum: what the surface over it is measured from, if it is declared.
+
+    Raises:
+        InputError: the file cannot be read, has another place, or another vertical system.
+    """
     try:
-        height_m, counts = _heights_above_ground(height * unit_m)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from error
-    return Reading(City(grid=grid, height_m=height_m, name=city_name(path)), counts)
+        return np.full(grid.shape, float(terrain or 0.0)), surface_datum
+    except ValueError:
+        path = existing_file(str(terrain))
+    with _opened(path) as source:
+        own = parse_crs(source.crs.to_wkt() if source.crs else None)
+        if (own is None) != (grid.crs is None):
+            raise InputError(
+                "only one of the terrain model and the city has a coordinate reference system; "
+                "give `crs` for the city, or a `terrain` in the same frame"
+            )
+        target = parse_crs(grid.crs)
+        band, unit_m, _ = _band(source, None)
+        datum = vertical_datum(source.crs.to_wkt() if source.crs else None)
+        if datum and surface_datum and datum[0] != surface_datum:
+            raise InputError(
+                f"the terrain is above {datum[0]!r} and the surface above {surface_datum!r}; "
+                "bring both to one vertical system and give that as `terrain`"
+            )
+        _check_effort(source, transformed_bounds(grid.bounds_m, target, own))
+        smooth = _sampled(source, grid, own, target, band, resampling="bilinear") * unit_m
+    return smooth, datum[0] if datum else surface_datum
 
 
 def save_heights(city: City, path: str | Path) -> None:
@@ -164,16 +184,32 @@ def save_heights(city: City, path: str | Path) -> None:
         ) from error
 
 
-def _read(
-    source: Any, spacing_m: float | None, crs: str | None, box: Bounds | None, band: int
-) -> tuple[Grid, NDArray[np.float64], float]:
-    """The grid wanted, the values at its cell centres (NaN where the file has none), and the metres
-    in their unit."""
-    _check_layout(source, band)
-    own = (
-        parse_crs(crs)
-        if crs is not None
-        else parse_crs(source.crs.to_wkt() if source.crs else None)
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A GeoTIFF; whatever GDAL says about a bad one becomes an `InputError` that names the file."""
+    rasterio = require("rasterio", "geo")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", rasterio.errors.NotGeoreferencedWarning
+            )  # _check_local says it, with the remedy
+            with rasterio.open(path, driver="GTiff") as source:
+                yield source
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
+    # GDAL answers foreign bytes with a dozen kinds of error; each says the file is unusable
+    except Exception as error:
+        raise InputError(
+            f"{path.name} is not a readable GeoTIFF ({_one_line(error)}); it may be cut off, "
+            "export it again"
+        ) from error
+
+
+def _frame(source: Any, options: CityOptions) -> tuple[Grid, Any | None, Any | None]:
+    """The grid wanted, the file's coordinate reference system and the grid's."""
+    crs, box = options.crs, options.box
+    own = parse_crs(
+        crs if crs is not None else source.crs.to_wkt() if source.crs is not None else None
     )
     extent = _extent(source)
     _check_local(source, own, crs)
@@ -184,7 +220,9 @@ def _read(
         pixel.b == 0 and pixel.d == 0 and pixel.a > 0 and abs(pixel.a + pixel.e) <= 1e-6 * pixel.a
     )
     native = upright and own == target
-    spacing = spacing_m if spacing_m is not None else (pixel.a if native else _DEFAULT_SPACING_M)
+    spacing = options.spacing_m
+    if spacing is None:
+        spacing = pixel.a if native else _DEFAULT_SPACING_M
     bounds = data_m
     if box is not None:
         bounds = box_in_metres(box, target)
@@ -193,17 +231,85 @@ def _read(
             bounds = _on_lattice(bounds, data_m, spacing)
     grid = grid_over(bounds, spacing, target)
     _check_effort(source, transformed_bounds(grid.bounds_m, target, own))
-    unit = (source.units[band - 1] or "metre").strip().lower()
-    if unit not in _UNITS_M:
+    return grid, own, target
+
+
+def _band(source: Any, height_field: str | None) -> tuple[int, float, tuple[str, ...]]:
+    """Which band holds the heights, the metres in their unit, and what was assumed of the unit."""
+    name, _, unit = (height_field or "1").partition(":")
+    described = [(text or "").strip().lower() for text in source.descriptions]
+    if name.strip().lower() in described and name.strip():
+        band = described.index(name.strip().lower()) + 1
+    else:
+        try:
+            band = int(name or "1")
+        except ValueError:
+            raise InputError(
+                f"there is no band {name!r}; give `height_field` as a number from 1 to "
+                f"{source.count}, with a unit if need be, e.g. 1:ft"
+            ) from None
+    _check_layout(source, band)
+    said: tuple[str, ...] = ()
+    if not unit:
+        unit = source.units[band - 1] or ""
+        datum = vertical_datum(source.crs.to_wkt() if source.crs is not None else None)
+        if not unit and datum:
+            unit = datum[1]
+        if not unit and source.crs is not None and source.crs.is_projected:
+            plane = str(source.crs.linear_units).strip()
+            if "foot" in plane.lower() or "feet" in plane.lower():
+                said = (
+                    "heights are taken as metres although the plane is in feet; if they are feet, "
+                    "give `height_field` 1:ft",
+                )
+    unit = (unit or "metre").strip().lower()
+    if unit not in UNITS_M:
         raise InputError(
-            f"heights are in {unit!r}, expected one of {', '.join(_UNITS_M)}; convert the raster "
-            "to metres"
+            f"heights are in {unit!r}, expected one of {', '.join(UNITS_M)}; convert the raster "
+            "to metres, or give `height_field` with the right unit, e.g. 1:ft"
         )
-    return grid, _sampled(source, grid, own, target, band), _UNITS_M[unit]
+    return band, UNITS_M[unit], said
+
+
+def _own_terrain(source: Any, band: int, terrain: str | None) -> int | None:
+    """The band of the same file that holds the ground, where one was named or the second is it."""
+    if terrain is not None and terrain.startswith("band:"):
+        number = terrain.removeprefix("band:").strip()
+        if not (number.isdigit() and 1 <= int(number) <= source.count and int(number) != band):
+            raise InputError(
+                f"{terrain!r} is no band of ground heights; the file has {source.count} and the "
+                f"heights are in band {band}; give `terrain` as a file or another band"
+            )
+        return int(number)
+    if terrain is not None or source.count != 2 or band != 1:
+        return None
+    coarse = (min(source.height, 1000), min(source.width, 1000))
+    first, second = (source.read(i, masked=True, out_shape=coarse) for i in (1, 2))
+    above = (first.astype(np.float64) - second.astype(np.float64)).compressed()
+    touching = np.abs(above) < 1.0
+    if above.size and np.mean(above < -1.0) < 0.02 and touching.mean() > 0.02 and second.any():
+        return 2
+    return None
+
+
+def _understood(
+    values: NDArray[np.float64],
+    ground: NDArray[np.float64] | None,
+    grid: Grid,
+    terrain: str | None,
+) -> Heights:
+    if ground is None:
+        return heights_above_ground(values, grid.spacing_m, trusted=terrain == "none")
+    return heights_over_terrain(values, ground)
 
 
 def _sampled(
-    source: Any, grid: Grid, own: Any | None, target: Any | None, band: int
+    source: Any,
+    grid: Grid,
+    own: Any | None,
+    target: Any | None,
+    band: int,
+    resampling: str = "nearest",
 ) -> NDArray[np.float64]:
     """``[row, col]`` the pixel under each cell's centre, NaN where there is none."""
     rasterio = require("rasterio", "geo")
@@ -219,7 +325,7 @@ def _sampled(
         transform=rasterio.Affine(grid.spacing_m, 0.0, west, 0.0, -grid.spacing_m, north),
         width=grid.shape[1],
         height=grid.shape[0],
-        resampling=rasterio.enums.Resampling.nearest,
+        resampling=rasterio.enums.Resampling[resampling],
         src_nodata=source.nodata,
         nodata=np.nan,
         dtype="float64",
@@ -228,45 +334,12 @@ def _sampled(
     return values * source.scales[band - 1] + source.offsets[band - 1]
 
 
-def _heights_above_ground(
-    height_m: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], dict[str, int]]:
-    """Heights with everything below ground or unknown set to 0, and how many cells that were.
-
-    Raises:
-        InputError: there is no value, or they cannot be heights above ground in metres.
-    """
-    known = np.isfinite(height_m)
-    if not known.any():
-        raise InputError(
-            "no cell has a value; choose another band or box, or check the file's nodata value"
-        )
-    low, high = float(height_m[known].min()), float(height_m[known].max())
-    if low < -_MAX_DEPTH_M or high > MAX_HEIGHT_M:
-        raise InputError(
-            f"values from {low:g} to {high:g} m are not building heights; expected metres above "
-            "ground from 0 to "
-            f"{MAX_HEIGHT_M:g}, with missing cells marked as nodata"
-        )
-    if low > _STREET_M:
-        raise InputError(
-            f"the lowest value is {low:g} m, so no cell is at street level; expected heights above "
-            "ground, "
-            "so subtract the terrain model from the surface model"
-        )
-    below = known & (height_m < 0)
-    counts = {
-        "cells without data, taken as open ground": int((~known).sum()),
-        "cells below ground, taken as open ground": int(below.sum()),
-    }
-    return np.where(known & ~below, height_m, 0.0).astype(np.float32), {
-        what: count for what, count in counts.items() if count
-    }
-
-
 def _check_layout(source: Any, band: int) -> None:
     if not 1 <= band <= source.count:
-        raise InputError(f"there is no band {band}; the file has {source.count}, counted from 1")
+        raise InputError(
+            f"there is no band {band}; the file has {source.count}, counted from 1; give another "
+            "`height_field`"
+        )
     if np.dtype(source.dtypes[band - 1]).kind not in "iuf":
         raise InputError(f"band {band} holds {source.dtypes[band - 1]}; expected real numbers")
     if source.count >= 3 and source.colorinterp[0].name == "red":
@@ -288,7 +361,7 @@ def _check_local(source: Any, own: Any | None, crs: str | None) -> None:
     if max(abs(source.transform.a), abs(source.transform.e)) < 0.01:
         raise InputError(
             "the raster has no coordinate reference system and its coordinates look like degrees; "
-            "give crs, e.g. 'EPSG:4326'"
+            "give `crs`, e.g. 'EPSG:4326'"
         )
 
 

@@ -1,5 +1,5 @@
-"""Cities that come with Sionna RT: Munich, Paris around the Etoile, Florence, San Francisco and a
-street canyon.
+"""Scenes of Sionna RT: those that come with it (Munich, Paris around the Etoile, Florence, San
+Francisco and a street canyon) and a ``scene.xml`` of one's own.
 
 The height map is found by casting a ray straight down through every cell's centre: the first thing
 it meets is the roof (or the street), and a second ray that sees the ground alone says how high the
@@ -11,13 +11,15 @@ made from the raster.
 
 from __future__ import annotations
 
-__all__ = ["SCENES", "load_scene", "scene_city", "scene_heights"]
+__all__ = ["SCENES", "load_scene", "read_scene", "scene_city", "scene_heights"]
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.cities.reading import CityOptions, Reading, city_name, existing_file
 from skygain.city import City
 from skygain.frames import Bounds, box_in_metres, grid_over
 from skygain.grid import Grid
@@ -35,6 +37,66 @@ SCENES = {
 
 _NOTHING_M = 0.1
 """what rises less above the ground is ground: the seams of the mesh"""
+
+
+_GROUND_NAMES = ("ground", "terrain", "plane", "floor", "street", "road")
+
+
+def read_scene(spec: str, options: CityOptions | None = None) -> Reading:
+    """The city of a scene: one of `SCENES`, or the path of a ``scene.xml``.
+
+    Raises:
+        InputError: there is no such scene, it cannot be read, an option does not apply, or the ray
+            tracer cannot be used here.
+    """
+    options = options or CityOptions()
+    options.refuse(spec, "crs", "layer", "default_height_m", "height_field", "terrain", "skip_bad")
+    spacing_m = 4.0 if options.spacing_m is None else options.spacing_m
+    if spec.removeprefix("scene:") in SCENES:
+        return Reading(scene_city(spec, spacing_m=spacing_m, box=options.box))
+    path = existing_file(spec)
+    try:
+        return _own_scene(path, spacing_m, options.box)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
+
+
+def _own_scene(path: Path, spacing_m: float, box: Bounds | None) -> Reading:
+    scene = _loaded(path)
+    if not scene.objects:
+        raise InputError(
+            "the scene has no objects; expected a Mitsuba scene whose meshes (.ply) lie beside it"
+        )
+    areas = {name: _area(thing.mi_mesh) for name, thing in scene.objects.items()}
+    named = [name for name in areas if any(word in name.lower() for word in _GROUND_NAMES)]
+    ground = max(named or areas, key=lambda name: areas[name])
+    city, remarks = _city_of(scene, ground, spacing_m, box, city_name(path)), []
+    how = "named so" if named else "the widest, for none is named ground, terrain or floor"
+    remarks.append(f"the object {ground!r} is taken as the ground ({how})")
+    if not city.height_m.any():
+        remarks.append("nothing rises above the ground: every cell is open ground")
+    return Reading(city, {"objects": len(areas)}, tuple(remarks))
+
+
+def _loaded(path: Path) -> Any:
+    from skygain.ground.llvm import activate
+
+    activate()
+    rt = require("sionna.rt", "raytrace")
+    try:
+        return rt.load_scene(str(path), merge_shapes=False)
+    # Mitsuba answers foreign bytes with several kinds of error; each says the file is unusable
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"not readable as a scene of Sionna RT ({reason}); export it again from Blender with "
+            "the Mitsuba add-on, meshes beside the .xml"
+        ) from error
+
+
+def _area(mesh: Any) -> float:
+    low, high = _corners(mesh)
+    return float((high[0] - low[0]) * (high[1] - low[1]))
 
 
 def load_scene(name: str, *, merge_shapes: bool = True) -> Any:
@@ -70,7 +132,11 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     """
     name = _known(name)
     scene = load_scene(name, merge_shapes=False)
-    low, high = _corners(scene.objects[SCENES[name]].mi_mesh)
+    return _city_of(scene, SCENES[name], spacing_m, box, f"scene:{name}")
+
+
+def _city_of(scene: Any, ground_name: str, spacing_m: float, box: Bounds | None, name: str) -> City:
+    low, high = _corners(scene.objects[ground_name].mi_mesh)
     whole: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     bounds = whole if box is None else box_in_metres(box, None)
     if (
@@ -81,13 +147,14 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     ):
         shown = ", ".join(f"{v:.0f}" for v in whole)
         raise InputError(
-            f"the box {box} misses the scene {name!r}, which covers [{shown}] m; choose a box "
+            f"the box {box} misses the scene {name!r}, which covers [{shown}] m; choose a `box` "
             "inside it"
         )
     grid = grid_over(bounds, spacing_m, None)
-    top, ground = scene_heights(scene, grid, ground=SCENES[name])
+    top, ground = scene_heights(scene, grid, ground=ground_name)
     height = np.where(top - ground < _NOTHING_M, 0.0, top - ground).astype(np.float32)
-    return City(grid=grid, height_m=height, name=f"scene:{name}")
+    street = np.where(np.abs(ground) < _NOTHING_M, 0.0, ground).astype(np.float32)
+    return City(grid=grid, height_m=height, name=name, ground_m=street)
 
 
 def scene_heights(

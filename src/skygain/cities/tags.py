@@ -11,6 +11,9 @@ __all__ = [
     "KNOWN_NAMES",
     "LEVEL_M",
     "BuildingTags",
+    "HeightField",
+    "height_like",
+    "parse_height_field",
     "parse_length_m",
     "parse_tags",
     "plain_name",
@@ -30,24 +33,89 @@ LEVEL_M = 3.0
 _MAX_LENGTH_M = 1000.0
 _MAX_LEVELS = 250.0
 
-_HEIGHT = ("height", "buildingheight", "buildingh", "heightm")
-_LEVELS = ("buildinglevels", "buildingl", "buildingle", "levels", "numfloors", "floors", "storeys")
+_HEIGHT = (
+    "height",
+    "buildingheight",
+    "buildingh",
+    "heightm",
+    "measuredheight",
+    "hauteur",
+    "altura",
+    "altezza",
+    "hoogte",
+    "hoehe",
+    "estheight",
+)
+_LEVELS = (
+    "buildinglevels",
+    "buildingl",
+    "buildingle",
+    "levels",
+    "numfloors",
+    "floors",
+    "storeys",
+    "storeysaboveground",
+    "nbetages",
+)
+_ROOF_LEVELS = ("rooflevels",)
+_ROOF_HEIGHT = ("roofheight",)
 _BASE = ("minheight", "buildingminheight")
 _BASE_LEVEL = ("buildingminlevel", "minlevel", "minfloor")
 _PART = ("buildingpart", "buildingp", "buildingpa")
 _KIND = ("building",)
 _PLACE = ("location",)
+_UNDERGROUND = ("isunderground", "underground")
+_CELLARS = ("buildinglevelsunderground",)
+_ORDER = ("layer",)
+_LAND = ("natural", "landuse", "leisure", "highway", "waterway")
 
 KNOWN_NAMES = frozenset(
-    _HEIGHT + _LEVELS + _BASE + _BASE_LEVEL + _PART + _KIND + _PLACE + ("othertags", "alltags")
+    _HEIGHT
+    + _LEVELS
+    + _ROOF_LEVELS
+    + _ROOF_HEIGHT
+    + _BASE
+    + _BASE_LEVEL
+    + _PART
+    + _KIND
+    + _PLACE
+    + _UNDERGROUND
+    + _CELLARS
+    + _ORDER
+    + _LAND
+    + ("othertags", "alltags", "tags", "altitudemode", "extrude")
 )
 """plain names of all attributes that are looked at"""
 
 _NO = {"", "no", "false", "0", "none", "nan"}
 
-_LENGTH = re.compile(r"~?\s*(\d+(?:\.\d*)?|\.\d+)\s*(m|metres?|meters?|ft|feet|foot|')?")
-_FEET_INCHES = re.compile(r"(\d+(?:\.\d+)?)\s*(?:'|ft)\s*(\d+(?:\.\d+)?)\s*(?:\"|in|'')")
+_UNITS_M = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "feet", "foot", "'", "\u2032", "\u2019"), 0.3048),
+    "cm": 0.01,
+    "dm": 0.1,
+}
+
+_LENGTH = re.compile(r"~?\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z'\u2032\u2019]*)")
+_FEET_INCHES = re.compile(
+    r"(\d+(?:\.\d+)?)\s*(?:['\u2032\u2019]|ft)\s*(\d+(?:\.\d+)?)\s*"
+    r"(?:\"|in|''|\u2033|\u201d)"
+)
+_SEVERAL = re.compile(r"\s*[;|]\s*|\s*[-\u2013]\s*(?=[\d.])|\s+to\s+")
 _HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"')
+_HEIGHT_LIKE = re.compile(
+    r"height|hoehe|h\u00f6he|haut|altura|altezza|hoogte|roof|etage|floor|storey|stories|level"
+)
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """The attribute that was named to hold heights."""
+
+    name: str
+    """as the file calls it; ``"z"`` for the polygons' third coordinate"""
+    unit_m: float = 1.0
+    """metres in its unit"""
 
 
 @dataclass(frozen=True)
@@ -58,10 +126,15 @@ class BuildingTags:
     """whether it is tagged as a building or as part of one"""
     is_part: bool
     """whether it is tagged ``building:part``"""
+    is_tall: bool
+    """whether it has a height or levels and is no stretch of land or water: a building all the
+    same"""
     is_underground: bool
-    """whether it is tagged ``location=underground``"""
+    """whether it lies below the ground: said so, or on a layer below zero with no height or level
+    above"""
     height_m: float | None
-    """top above ground: ``height``, else levels times `LEVEL_M`, else ``None``"""
+    """top above ground: the height named, else ``height`` and its kin, else levels (those of the
+    roof too) times `LEVEL_M`, else ``None``"""
     base_m: float
     """underside above ground: ``min_height``, else ``building:min_level`` times `LEVEL_M`, else
     0"""
@@ -69,6 +142,8 @@ class BuildingTags:
     """whether the height comes from the number of levels"""
     misread: bool
     """whether a height or level is given that cannot be understood"""
+    z_m: float | None = None
+    """third coordinate of its highest corner, which may be above the ground or above the sea"""
 
 
 def plain_name(name: str) -> str:
@@ -80,24 +155,53 @@ def plain_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def parse_length_m(value: Any) -> float | None:
+def parse_height_field(text: str | None) -> HeightField | None:
+    """``NAME`` or ``NAME:unit``; the unit is what follows the last colon, if it is one.
+
+    >>> parse_height_field("heightroof:ft"), parse_height_field("building:height")
+    (HeightField(name='heightroof', unit_m=0.3048), HeightField(name='building:height', unit_m=1.0))
+    """
+    if text is None:
+        return None
+    name, _, unit = text.strip().rpartition(":")
+    if name and unit.strip().lower() in _UNITS_M:
+        return HeightField(name.strip(), _UNITS_M[unit.strip().lower()])
+    return HeightField(text.strip())
+
+
+def height_like(name: str) -> bool:
+    """Whether an attribute's name sounds as if it said something of heights."""
+    return _HEIGHT_LIKE.search(name.lower()) is not None
+
+
+def parse_length_m(value: Any, unit_m: float = 1.0) -> float | None:
     """A length in metres, or ``None`` if it is none between 0 and 1000 m.
 
-    Numbers are metres; a text may carry a unit and a decimal comma.
+    Numbers are in ``unit_m`` metres; a text may carry its own unit and a decimal comma. Of several
+    lengths (``12;15``, ``3-4``) the largest counts.
 
-    >>> [parse_length_m(text) for text in (12, "12 m", "7,5", "40 ft", "10'", "6'6\\"", "tall", -1)]
-    [12.0, 12.0, 7.5, 12.192, 3.048, 1.9812, None, None]
+    >>> [parse_length_m(text) for text in (12, "12 m", "7,5", "40 ft", "10'", "6'6\\"", "12;15")]
+    [12.0, 12.0, 7.5, 12.192, 3.048, 1.9812, 15.0]
+    >>> [parse_length_m(text) for text in ("tall", -1, "12 barns")]
+    [None, None, None]
     """
-    if isinstance(value, str):
-        text = value.strip().lower().replace(",", ".")
-        if match := _FEET_INCHES.fullmatch(text):
-            length = 0.3048 * float(match[1]) + 0.0254 * float(match[2])
-        elif match := _LENGTH.fullmatch(text):
-            length = float(match[1]) * (0.3048 if match[2] in ("ft", "feet", "foot", "'") else 1.0)
-        else:
-            return None
-    else:
-        length = _number(value)
+    if not isinstance(value, str):
+        return _in_range(_number(value) * unit_m)
+    found = [_one_length(part, unit_m) for part in _SEVERAL.split(value.strip().lower())]
+    known = [length for length in found if length is not None]
+    return max(known) if known and len(known) == len(found) else None
+
+
+def _one_length(text: str, unit_m: float) -> float | None:
+    text = text.replace(",", ".")
+    if match := _FEET_INCHES.fullmatch(text):
+        return _in_range(0.3048 * float(match[1]) + 0.0254 * float(match[2]))
+    if (match := _LENGTH.fullmatch(text)) and (not match[2] or match[2] in _UNITS_M):
+        return _in_range(float(match[1]) * (_UNITS_M[match[2]] if match[2] else unit_m))
+    return None
+
+
+def _in_range(length: float) -> float | None:
     return round(length, 6) if 0 <= length <= _MAX_LENGTH_M else None
 
 
@@ -123,27 +227,55 @@ def parse_tags(text: Any) -> dict[str, str]:
     }
 
 
-def read_tags(attributes: Mapping[str, Any]) -> BuildingTags:
+def read_tags(attributes: Mapping[str, Any], field: HeightField | None = None) -> BuildingTags:
     """Understand a polygon's attributes, named by `plain_name`.
 
     A height of 0 is how many producers write "unknown", so it counts as missing.
+
+    Args:
+        attributes: by `plain_name`; the one that ``field`` names under its own name too.
+        field: the attribute whose value counts before all others.
     """
     kind, part = _text(attributes, _KIND), _text(attributes, _PART)
     is_part = part not in _NO
     height, misread = _first(attributes, _HEIGHT, parse_length_m)
+    if field is not None:
+        named, misread_named = _first(
+            attributes, (field.name,), lambda value: parse_length_m(value, field.unit_m)
+        )
+        height, misread = (named, misread_named) if named or misread_named else (height, misread)
     levels, misread_levels = _first(attributes, _LEVELS, _levels)
     base, misread_base = _first(attributes, _BASE, parse_length_m)
     base_level, misread_base_level = _first(attributes, _BASE_LEVEL, _levels)
     from_levels = height is None and levels is not None
+    if height is None and levels is not None:
+        roof_m, _ = _first(attributes, _ROOF_HEIGHT, parse_length_m)
+        roof_levels, _ = _first(attributes, _ROOF_LEVELS, _levels)
+        height = LEVEL_M * levels + (roof_m or LEVEL_M * (roof_levels or 0.0))
+    if height is None and _text(attributes, ("altitudemode",)) == "relativetoground":
+        height = parse_length_m(attributes.get("@z")) or None
+    order = _number(_text(attributes, _ORDER) or 0)
     return BuildingTags(
         is_building=kind not in _NO or is_part,
         is_part=is_part,
-        is_underground=_text(attributes, _PLACE) == "underground",
-        height_m=LEVEL_M * levels if height is None and levels is not None else height,
+        is_tall=height is not None
+        and kind not in ("no", "false")
+        and _text(attributes, _LAND) in _NO,
+        is_underground=_text(attributes, _PLACE) == "underground"
+        or _text(attributes, _UNDERGROUND) not in _NO
+        or (height is None and (order < 0 or _has_cellars_only(attributes))),
+        height_m=height,
         base_m=base if base is not None else LEVEL_M * (base_level or 0.0),
         from_levels=from_levels,
         misread=misread or misread_levels or misread_base or misread_base_level,
+        z_m=attributes.get("@z"),
     )
+
+
+def _has_cellars_only(attributes: Mapping[str, Any]) -> bool:
+    """Whether it has levels below the ground and says that it has none above."""
+    below, _ = _first(attributes, _CELLARS, _levels)
+    return bool(below) and any(_number(attributes.get(name)) == 0 for name in _LEVELS)
 
 
 def _first(
@@ -168,7 +300,14 @@ def _first(
 
 
 def _levels(value: Any) -> float | None:
-    count = _number(value.strip().replace(",", ".") if isinstance(value, str) else value)
+    """A number of storeys; the largest of ``3;4`` and ``3-4``, the sum of ``5+1``."""
+    if isinstance(value, str):
+        parts = [part.split("+") for part in _SEVERAL.split(value.strip().replace(",", "."))]
+        count = max(sum(_number(number) for number in part) for part in parts)
+        if not all(math.isfinite(_number(number)) for part in parts for number in part):
+            return None
+    else:
+        count = _number(value)
     return count if 0 <= count <= _MAX_LEVELS else None
 
 

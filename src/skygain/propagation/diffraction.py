@@ -13,8 +13,9 @@ free space is
     L_b  = L_uc + (1 − exp(−L_uc / 6)) (10 + 0.02 d),   d in kilometres
 
 and the gain is −(free-space loss + L_b), with the slant distance in the free-space loss. The
-profile is the city's height raster sampled at half a cell's spacing; outside the map the ground is
-empty.
+profile is the city's roofs over its ground, sampled at half a cell's spacing; outside the map the
+ground is empty and as high as at the nearest cell. Altitudes of both ends are above the ground
+beneath them.
 """
 
 from __future__ import annotations
@@ -60,9 +61,9 @@ def over_rooftop_gain_db(
     cell itself were not there; it means nothing.
 
     Args:
-        city: the height raster.
-        transmitters_m: ``[transmitter, (x, y, z)]``, z above the street; may lie outside the map.
-        altitudes_m: heights of the receiving cells above the street.
+        city: the heights and the ground.
+        transmitters_m: ``[transmitter, (x, y, z)]``, z above the ground; may lie outside the map.
+        altitudes_m: heights of the receiving cells above the ground.
         frequency_hz: carrier frequency.
         earth_radius_m: effective Earth radius.
 
@@ -74,10 +75,14 @@ def over_rooftop_gain_db(
     wavelength = wavelength_m(check_frequency(frequency_hz))
     gain = np.empty((len(transmitters), len(altitudes), *city.grid.shape), dtype=np.float32)
     grid = city.grid
+    # Only differences of the ground matter; level ground costs one number.
+    relative = city.ground_m - city.ground_m.min()
+    ground_m = np.zeros((1, 1), dtype=np.float32) if city.is_level else relative
     for i, transmitter in enumerate(transmitters):
         for j, altitude in enumerate(altitudes):
             _over_rooftop(
                 city.height_m,
+                ground_m,
                 grid.origin_m[0],
                 grid.origin_m[1],
                 grid.spacing_m,
@@ -166,6 +171,7 @@ def bullington_loss_db(
 @numba.njit(cache=True, parallel=False)
 def _over_rooftop(
     height_m: NDArray[np.float32],
+    ground_m: NDArray[np.float32],
     x0_m: float,
     y0_m: float,
     spacing_m: float,
@@ -190,11 +196,23 @@ def _over_rooftop(
     # In units of cells, so that rounding to the nearest gives the cell.
     tx_col = (transmitter_m[0] - x0_m) / spacing_m
     tx_row = (transmitter_m[1] - y0_m) / spacing_m
+    last_row, last_col = ground_m.shape[0] - 1, ground_m.shape[1] - 1
+    tx_z = (
+        transmitter_m[2]
+        + (
+            ground_m[
+                min(max(math.floor(tx_row + 0.5), 0), last_row),
+                min(max(math.floor(tx_col + 0.5), 0), last_col),
+            ]
+        )
+    )
     for row in range(rows):
         for col in range(cols):
             # A roof below the receiver is an obstacle like any other; walls around a receiver
             # indoors are left out.
             own = height_m[row, col] if height_m[row, col] < altitude_m else 0.0
+            street = ground_m[min(row, last_row), min(col, last_col)]
+            rx_z = street + altitude_m
             across = math.hypot(row - tx_row, col - tx_col)
             distance = across * spacing_m
             points = max(math.ceil(2.0 * across) - 1, 0)
@@ -204,16 +222,17 @@ def _over_rooftop(
                 c = math.floor(tx_col + share * (col - tx_col) + 0.5)
                 inside = 0 <= r < rows and 0 <= c < cols
                 if r == row and c == col:
-                    profile[i] = own
+                    profile[i] = street + own
                 else:
-                    profile[i] = height_m[r, c] if inside else 0.0
+                    beneath = ground_m[min(max(r, 0), last_row), min(max(c, 0), last_col)]
+                    profile[i] = beneath + (height_m[r, c] if inside else 0.0)
             loss = bullington_loss_db(
                 profile[:points],
                 distance,
-                transmitter_m[2],
-                altitude_m,
+                tx_z,
+                rx_z,
                 wavelength_m,
                 earth_radius_m,
             )
-            slant = max(math.hypot(distance, altitude_m - transmitter_m[2]), wavelength_m)
+            slant = max(math.hypot(distance, rx_z - tx_z), wavelength_m)
             gain_db[row, col] = 20.0 * math.log10(wavelength_m / (4.0 * math.pi * slant)) - loss

@@ -1,0 +1,185 @@
+"""Files as professionals have them: the right heights, or one line with an option that exists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skygain.cities import CityOptions, read_city
+from skygain.ground.errors import InputError
+
+geopandas = pytest.importorskip("geopandas")
+shapely = pytest.importorskip("shapely")
+rasterio = pytest.importorskip("rasterio")
+
+DATA = Path(__file__).parent / "data"
+
+
+def heights(name: str, **options: Any) -> list[float]:
+    """Heights of the buildings, in the file's order."""
+    return [round(b.height_m, 1) for b in read_city(DATA / name, **options).city.buildings]
+
+
+CITY = [12.0, 20.0, 9.0, 15.0, 30.0, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "right"),
+    [
+        ("city.geojson", CITY),
+        ("city.fgb", CITY),
+        ("city.kml", CITY),
+        ("city.gml", CITY),
+        ("seq_as.geojson", CITY),
+        ("tile.city.json", CITY),
+        ("turbo_mixed.geojson", CITY),
+        ("city_25833.geojson", CITY),
+        ("overpass.json", [9.0, 12.0, 15.0, 18.0, 21.0, 24.0]),
+        ("bdtopo_hauteur.geojson", [18.2, 24.7, 9.1, 12.6, 31.0, 6.4]),
+        ("overture.geojson", [14.0, 22.5]),
+        ("osm_rooflevels.geojson", [11.0, 12.0]),
+        ("osm_levels.geojson", [7.5, 7.5, 9.0, 9.0, 12.0, 12.0, 12.0, 18.0]),
+        ("ms_minus1.geojson", [4.4, 6.2, 9.0, 9.0, 9.8, 13.4]),
+        ("ms.geojsonl", [4.4, 6.2, 9.0, 9.0, 9.8, 13.4]),
+        ("relation.osm", [12.0, 18.5, 30.0]),
+    ],
+)
+def test_heights_of_every_format(name: str, right: list[float]) -> None:
+    assert sorted(heights(name)) == sorted(right)
+
+
+def test_the_one_place_of_every_format() -> None:
+    """The same six buildings lie in the same cells, whatever they are written as."""
+    maps = [
+        read_city(DATA / name).city.height_m
+        for name in ("city.geojson", "city.fgb", "city.kml", "city.gml", "seq_as.geojson")
+    ]
+    for other in maps[1:]:
+        np.testing.assert_array_equal(other, maps[0])
+
+
+def test_a_height_field_is_named_with_its_unit() -> None:
+    right = [32.1, 67.1, 19.7, 10.1, 125.2, 8.7]
+    assert heights("nyc_heightroof.geojson", height_field="heightroof:ft") == pytest.approx(
+        right, abs=0.06
+    )
+    notes = read_city(DATA / "nyc_heightroof.geojson").notes
+    assert notes[0] == "6 of 6 buildings without a height, taken as 9 m"
+    assert "`height_field`" in notes[1]
+    assert "heightroof" in notes[1]
+    with pytest.raises(InputError, match=r"no column 'roofs' for `height_field`.*heightroof"):
+        read_city(DATA / "nyc_heightroof.geojson", height_field="roofs")
+
+
+def test_the_third_coordinate_counts_over_a_terrain() -> None:
+    assert any("third coordinate" in note for note in read_city(DATA / "polygonz.geojson").notes)
+    assert heights("polygonz.geojson", terrain="200") == [12, 20, 9, 15, 30, 7]
+    assert heights("polygonz.geojson", height_field="z")[0] == 212
+
+
+def test_what_is_underground_is_left_out_and_said() -> None:
+    assert "1 underground, left out" in read_city(DATA / "overture.geojson").notes
+
+
+def test_an_untagged_footprint_with_a_height_is_a_building(tmp_path: Path) -> None:
+    rows = [
+        {
+            "building": "yes" if i == 0 else None,
+            "height": 29.0,
+            "geometry": shapely.box(x, 0, x + 8, 8),
+        }
+        for i, x in enumerate(range(0, 100, 20))
+    ]
+    rows.append({"building": None, "height": None, "geometry": shapely.box(0, 40, 90, 60)})
+    geopandas.GeoDataFrame(rows, geometry="geometry", crs="EPSG:32633").to_file(tmp_path / "u.gpkg")
+    reading = read_city(tmp_path / "u.gpkg")
+    assert reading.counts["buildings"] == 5
+    assert reading.counts["untagged polygons with a height, taken as buildings"] == 4
+    assert reading.counts["features that are no buildings, left out"] == 1
+
+
+def test_a_shapefile_without_prj_is_told_its_system() -> None:
+    with pytest.raises(InputError, match="give `crs`"):
+        read_city(DATA / "city_utm.shp")
+    assert sorted(heights("city_utm.shp", crs="EPSG:32633")) == sorted(CITY)
+    assert read_city(DATA / "city_utm.shp", crs="EPSG:32633").city.grid.shape == (32, 61)
+
+
+def test_geoparquet(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    frame = geopandas.read_file(DATA / "city.geojson")
+    frame.to_parquet(tmp_path / "c.parquet")
+    right = read_city(DATA / "city.geojson").city
+    read = read_city(tmp_path / "c.parquet").city
+    np.testing.assert_array_equal(read.height_m, right.height_m)
+    frame.to_crs(32633).to_parquet(tmp_path / "m.parquet")
+    np.testing.assert_array_equal(read_city(tmp_path / "m.parquet").city.height_m, right.height_m)
+    west, south, east, north = right.grid.bounds_m
+    part = read_city(tmp_path / "m.parquet", box=(west, south, (west + east) / 2, north)).city
+    np.testing.assert_array_equal(part.height_m, right.height_m[:, : part.grid.shape[1]])
+    frame.set_crs(None, allow_override=True).to_parquet(tmp_path / "n.parquet")
+    with pytest.raises(InputError, match="give `crs`"):
+        read_city(tmp_path / "n.parquet")
+    frame.drop(columns="geometry").to_parquet(tmp_path / "t.parquet")
+    with pytest.raises(InputError, match="no GeoParquet metadata"):
+        read_city(tmp_path / "t.parquet")
+
+
+def test_broken_lines_of_a_sequence_are_named_or_left_out(tmp_path: Path) -> None:
+    lines = (DATA / "ms.geojsonl").read_text().splitlines()
+    lines.insert(2, '{"type": "Feature", "geom')
+    (tmp_path / "b.geojsonl").write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"line 3 is no JSON object .*`skip_bad`"):
+        read_city(tmp_path / "b.geojsonl")
+    reading = read_city(tmp_path / "b.geojsonl", skip_bad=True)
+    assert len(reading.city.buildings) == 6
+    assert "1 lines that are no features, left out" in reading.notes
+
+
+def test_overpass_with_the_geometry_inside(tmp_path: Path) -> None:
+    """``out geom`` gives what ``out body; >;`` gives."""
+    import json
+
+    document = json.loads((DATA / "overpass.json").read_text())
+    nodes = {e["id"]: e for e in document["elements"] if e["type"] == "node"}
+    inside = [
+        {
+            **{k: v for k, v in e.items() if k != "nodes"},
+            "geometry": [{k: nodes[n][k] for k in ("lat", "lon")} for n in e["nodes"]],
+        }
+        for e in document["elements"]
+        if e["type"] == "way"
+    ]
+    (tmp_path / "g.json").write_text(json.dumps({**document, "elements": inside}))
+    np.testing.assert_array_equal(
+        read_city(tmp_path / "g.json").city.height_m,
+        read_city(DATA / "overpass.json").city.height_m,
+    )
+
+
+def test_citygml_is_sent_to_a_converter(tmp_path: Path) -> None:
+    (tmp_path / "c.gml").write_text(
+        '<CityModel xmlns="http://www.opengis.net/citygml/2.0"></CityModel>'
+    )
+    with pytest.raises(InputError, match="CityJSON"):
+        read_city(tmp_path / "c.gml")
+
+
+def test_options_are_one_frozen_thing() -> None:
+    options = CityOptions(height_field="heightroof:ft", spacing_m=8.0)
+    reading = read_city(DATA / "nyc_heightroof.geojson", options, spacing_m=2.0)
+    assert reading.city.grid.spacing_m == 2.0
+    assert reading.city.height_m.max() == pytest.approx(125.2, abs=0.1)
+
+
+def test_the_account_is_plain_data() -> None:
+    import json
+
+    data = read_city(DATA / "nyc_heightroof.geojson").as_data()
+    assert json.loads(json.dumps(data)) == data
+    assert data["crs"] == "EPSG:32633"
+    assert data["centre_latlon"] == pytest.approx([48.2009, 16.3722], abs=1e-3)
+    assert data["notes"][0].startswith("6 of 6 buildings")
