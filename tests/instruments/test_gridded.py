@@ -170,7 +170,7 @@ def test_boxes_and_spacings_that_make_no_sense():
         grid_for(recording, 4.0, box=(20, 0, 0, 20))
     with pytest.raises(InputError, match="spacing_m"):
         grid_for(recording, 0.0)
-    with pytest.raises(InputError, match="larger spacing"):
+    with pytest.raises(InputError, match="larger `spacing_m`"):
         grid_for(recorded([[0, 0], [1e7, 1e7]], [-90, -91]), 4.0)
 
 
