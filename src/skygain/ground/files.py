@@ -7,7 +7,7 @@ never leaves half a file under the name a reader looks for.
 
 from __future__ import annotations
 
-__all__ = ["atomic_write", "writable_folder"]
+__all__ = ["atomic_write", "full_disk", "unwritable", "writable_folder"]
 
 import errno
 import os
@@ -47,17 +47,17 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         tmp.touch(exist_ok=False)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise unwritable(path, error) from error
     try:
         yield tmp
         _flush(tmp)
         try:
             os.replace(tmp, path)
         except OSError as error:
-            raise _unwritable(path, error) from error
+            raise unwritable(path, error) from error
     except OSError as error:
-        if error.errno in _NO_ROOM:
-            raise _unwritable(path, error) from error
+        if full_disk(error):
+            raise unwritable(path, error) from error
         raise
     finally:
         tmp.unlink(missing_ok=True)
@@ -70,7 +70,13 @@ def _flush(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _unwritable(path: Path, error: OSError) -> InputError:
+def full_disk(error: OSError) -> bool:
+    """Whether the disk, or the user's share of it, is full."""
+    return error.errno in _NO_ROOM
+
+
+def unwritable(path: Path, error: OSError) -> InputError:
+    """The error that tells the user why ``path`` cannot be written."""
     return InputError(
         f"cannot write {path}: {error.strerror or error}; choose a folder that can be written to "
         "and has room"
@@ -91,5 +97,5 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
         probe.touch(exist_ok=False)
         probe.unlink()
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise unwritable(path, error) from error
     return path
