@@ -7,6 +7,7 @@ __all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult", "
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,10 +17,11 @@ from skygain.ground.errors import InputError
 from skygain.ground.shown import Shown
 from skygain.instruments.base import Instrument
 from skygain.measurements import Measurements
-from skygain.planners.base import Certificate, Planner
+from skygain.planners.base import Certificate, Plan, Planner
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.scenario import Scenario
+from skygain.survey.tape import Tape
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -164,7 +166,11 @@ class Survey:
     """when to stop"""
 
     def fly(
-        self, swarm: Swarm, rng: np.random.Generator, observer: Observer | None = None
+        self,
+        swarm: Swarm,
+        rng: np.random.Generator,
+        observer: Observer | None = None,
+        tape: Tape | None = None,
     ) -> SurveyResult:
         """Fly until no UAV has steps left.
 
@@ -175,12 +181,14 @@ class Survey:
             swarm: the UAVs as deployed.
             rng: randomness of the planner; the instrument brings its own.
             observer: see `Observer`.
+            tape: keeps plans and readings, so that the flight can go on after any death.
 
         Raises:
             ValueError: the planner returned an illegal path.
         """
+        tape = Tape() if tape is None else tape
         belief, readings, record = self._measured(
-            self.predictor.begin(self.scenario), Measurements.none(), swarm, 0.0, 0, None
+            self.predictor.begin(self.scenario), Measurements.none(), swarm, tape, 0.0, 0, None
         )
         journal = [record]
         stopped = "steps"
@@ -191,9 +199,8 @@ class Survey:
                 if self._certain(belief, swarm.steps_flown):
                     stopped = "stop-std"
                     break
-                began = time.perf_counter()
-                plan = self.planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
-                planning_s, certificate = time.perf_counter() - began, plan.certificate
+                plan, planning_s = tape.plan(partial(self._planned, swarm, belief, rng))
+                certificate = plan.certificate
                 planned = plan.n_steps
                 if not 1 <= plan.commit_steps <= planned:
                     raise ValueError(
@@ -203,7 +210,7 @@ class Survey:
                 for cells in plan.paths.transpose(1, 0, 2)[1 : plan.commit_steps + 1]:
                     swarm = swarm.advanced(cells)
                     belief, readings, record = self._measured(
-                        belief, readings, swarm, planning_s, planned, certificate
+                        belief, readings, swarm, tape, planning_s, planned, certificate
                     )
                     journal.append(record)
                     planning_s, planned, certificate = 0.0, 0, None
@@ -220,6 +227,7 @@ class Survey:
         belief: Belief,
         readings: Measurements,
         swarm: Swarm,
+        tape: Tape,
         planning_s: float,
         planned_steps: int,
         certificate: Certificate | None,
@@ -233,8 +241,9 @@ class Survey:
             else (swarm.history[:, -1] != swarm.history[:, -2]).any(axis=1)
         )
         uav = np.flatnonzero(moved)
-        new = self.instrument.measure(
-            swarm.cells[uav], uav=uav, time_s=step * self.config.step_duration_s
+        time_s = step * self.config.step_duration_s
+        new = tape.readings(
+            lambda: self.instrument.measure(swarm.cells[uav], uav=uav, time_s=time_s)
         )
         began = time.perf_counter()
         belief = belief.updated(new)
@@ -242,6 +251,13 @@ class Survey:
             step, len(new), planning_s, planned_steps, time.perf_counter() - began, certificate
         )
         return belief, readings.extended(new), record
+
+    def _planned(
+        self, swarm: Swarm, belief: Belief, rng: np.random.Generator
+    ) -> tuple[Plan, float]:
+        began = time.perf_counter()
+        plan = self.planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
+        return plan, time.perf_counter() - began
 
     def _certain(self, belief: Belief, step: int) -> bool:
         if self.config.stop_std_db is None or step % self.config.stop_every:
