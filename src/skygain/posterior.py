@@ -3,16 +3,20 @@
 Inference returns an object: a mean and a variance per cell, with samples, intervals and entropy
 derived from them. A posterior that knows how cells vary together is a `JointPosterior` and also
 answers `covariance`; planners that need it ask for that type.
+
+Planning asks a belief for three things, the first that it has: a stationary prior
+(`HasStationaryPrior`, a method of the belief), a joint posterior (`JointPosterior`), or just the
+variances. `skygain.fields.planning` makes one field of whatever it gets.
 """
 
 from __future__ import annotations
 
-__all__ = ["GaussianProcessPosterior", "JointPosterior", "Posterior"]
+__all__ = ["GaussianProcessPosterior", "HasStationaryPrior", "JointPosterior", "Posterior"]
 
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,6 +108,19 @@ class Posterior(Shown):
             return float(
                 0.5 * np.sum(np.log(2 * np.pi * np.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
             )
+
+
+@runtime_checkable
+class HasStationaryPrior(Protocol):
+    """A belief that began with the same covariance function everywhere, as Kriging does.
+
+    A planner then conditions that function on the readings near each UAV by itself: what a path
+    would teach depends on where was measured, not on what.
+    """
+
+    def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
+        """Prior covariance in dB² of the gains at two cells ``distance_m`` apart, in the shape of
+        ``distance_m``."""
 
 
 class JointPosterior(Posterior):

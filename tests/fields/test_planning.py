@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.fields.planning import FALLBACK_RANGE_M, HasStationaryPrior, planning_field
+from skygain.fields.planning import FALLBACK_RANGE_M, planning_field
 from skygain.grid import Grid
 from skygain.measurements import Measurements
+from skygain.posterior import HasStationaryPrior
 from skygain.predictors import create_predictor
 from skygain.predictors.kriging.known_source import KrigingPredictor
 from skygain.predictors.kriging.parameters import KrigingParameters

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from skygain.fields.offset_sum import OffsetSum
+from skygain.fields.offsets import ExponentialKernel, at_flat_offsets, offset_distance_m
 
 Array = NDArray[np.float64]
 Flat = NDArray[np.int64]
@@ -39,10 +40,9 @@ KNOWN = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class CellKernel:
-    """Exponential (Gudmundson) covariance of a field between cells of a grid: φ exp(−d/δ), plus ν
-    at d = 0.
+    """A covariance between cells of a grid.
 
-    >>> kernel = CellKernel(shape=(3, 4), spacing_m=4.0, sill_db2=9.0, range_m=8.0, nugget_db2=1.0)
+    >>> kernel = CellKernel((3, 4), 4.0, ExponentialKernel(9.0, range_m=8.0, nugget_db2=1.0))
     >>> kernel.between(np.array([0]), np.array([0, 1])).round(3)
     array([[10.   ,  5.459]])
     """
@@ -51,13 +51,8 @@ class CellKernel:
     """rows and columns of the grid"""
     spacing_m: float
     """side of a cell"""
-    sill_db2: float
-    """φ, variance of the spatially correlated part"""
-    range_m: float
-    """δ, distance at which the correlation has fallen to 1/e"""
-    nugget_db2: float = 0.0
-    """ν, variance of the part that differs from cell to cell; it belongs to the field, not to the
-    measurement"""
+    kernel: ExponentialKernel
+    """covariance by distance"""
     gap_m: float = 0.0
     """vertical distance between the two planes that are compared; planes apart do not share the
     nugget"""
@@ -65,24 +60,16 @@ class CellKernel:
     @cached_property
     def table(self) -> Array:
         """``[|row offset|, |column offset|]`` covariance in dB²."""
-        rows, cols = np.ogrid[: self.shape[0], : self.shape[1]]
-        distance = np.sqrt(self.spacing_m**2 * (rows**2 + cols**2) + self.gap_m**2)
-        table = self.sill_db2 * np.exp(-distance / self.range_m)
-        if self.gap_m == 0:
-            table[0, 0] += self.nugget_db2
-        return table
+        return self.kernel.at(offset_distance_m(self.shape, self.spacing_m, self.gap_m))
 
     @property
     def variance_db2(self) -> float:
         """Prior variance of the field at a cell."""
-        return self.sill_db2 + self.nugget_db2
+        return self.kernel.variance_db2
 
     def between(self, first: Flat, second: Flat) -> Array:
         """``[n, m]`` covariance of raveled cells ``first[n]`` and ``second[m]``."""
-        cols = self.shape[1]
-        row_offset = np.abs((first // cols)[:, None] - (second // cols)[None, :])
-        col_offset = np.abs((first % cols)[:, None] - (second % cols)[None, :])
-        return self.table[row_offset, col_offset]
+        return at_flat_offsets(self.table, first, second, self.shape[1])
 
     @cached_property
     def to_map(self) -> OffsetSum:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skygain.fields.offsets import at_offsets
 from skygain.posterior import JointPosterior
 
 Floats = NDArray[np.float32]
@@ -51,8 +52,7 @@ class MixturePosterior(JointPosterior):
         cells = np.asarray(cells, dtype=np.int64)
         others = cells if others is None else np.asarray(others, dtype=np.int64)
         a, b = self._flat(cells), self._flat(others)
-        offset = np.abs(cells[:, None] - others[None])
-        shared = self.correlation[offset[..., 0], offset[..., 1]] - self.tie**2 * (
+        shared = at_offsets(self.correlation, cells, others) - self.tie**2 * (
             self.whitened[:, a].T @ self.whitened[:, b]
         )
         root = np.sqrt(self.weight)[:, None]

@@ -4,10 +4,10 @@ Planning needs covariances between many cells given the data so far, a few thous
 several times per decision. Three kinds of belief answer, and `planning_field` picks the best that
 is there:
 
-1. a belief with a stationary prior (`HasStationaryPrior`, like Kriging): the covariance is computed
-   here from the prior kernel and the readings nearest to where it is asked for. A nearer reading
-   screens the farther ones off, so leaving those out changes little, it never understates a
-   variance, and the cost of a decision does not grow with the survey;
+1. a belief with a stationary prior (`skygain.posterior.HasStationaryPrior`, like Kriging): the
+   covariance is computed here from the prior kernel and the readings nearest to where it is asked
+   for. A nearer reading screens the farther ones off, so leaving those out changes little, it never
+   understates a variance, and the cost of a decision does not grow with the survey;
 2. a belief whose posterior is joint: its own ``covariance``;
 3. any other belief, for example a deep one that knows only variances: the fallback
    k(x, x') = σ(x)·σ(x')·exp(−‖x − x'‖/δ_f) with the belief's own standard deviations and δ_f =
@@ -20,23 +20,23 @@ from __future__ import annotations
 __all__ = [
     "FALLBACK_RANGE_M",
     "Conditioned",
-    "HasStationaryPrior",
     "PlanningField",
     "planning_field",
 ]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from skygain.fields.offsets import at_offsets, offset_distance_m
 from skygain.grid import Grid
-from skygain.posterior import JointPosterior, Posterior
-from skygain.predictors.base import Belief
+from skygain.measurements import Measurements
+from skygain.posterior import HasStationaryPrior, JointPosterior, Posterior
+from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -48,23 +48,14 @@ JITTER = 1e-6
 near cells invertible"""
 
 
-@runtime_checkable
-class HasStationaryPrior(Protocol):
-    """A belief that began with the same covariance function everywhere."""
+class Believing(Protocol):
+    """What planning needs of a belief."""
 
-    def prior_covariance_db2(self, distance_m: Any) -> Any:
-        """Prior covariance in dB² of the gains at two cells ``distance_m`` apart, in the shape of
-        ``distance_m``."""
-
-
-@njit(cache=True)
-def _looked_up(table, cells, others):
-    """``[n, m]`` entries of ``table[|row offset|, |col offset|]``."""
-    out = np.empty((len(cells), len(others)), dtype=table.dtype)
-    for i in range(len(cells)):
-        for j in range(len(others)):
-            out[i, j] = table[abs(cells[i, 0] - others[j, 0]), abs(cells[i, 1] - others[j, 1])]
-    return out
+    @property
+    def scenario(self) -> Scenario: ...
+    @property
+    def measurements(self) -> Measurements: ...
+    def posterior(self) -> Posterior: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +90,7 @@ class PlanningField:
         """``[n, m]`` covariance in dB² before the readings `cells` (case 1), or of the posterior
         itself (cases 2 and 3)."""
         if self.kernel:
-            return _looked_up(
-                self.table.astype(dtype), np.ascontiguousarray(cells), np.ascontiguousarray(others)
-            )
+            return at_offsets(self.table.astype(dtype), cells, others)
         if isinstance(self.posterior, JointPosterior):
             return self.posterior.covariance(cells, others).astype(dtype)
         gap = np.hypot(*(cells[:, None] - others[None]).transpose(2, 0, 1)) * self.grid.spacing_m
@@ -160,17 +149,15 @@ class Conditioned:
         return self.field.prior(cells, others, self.factor.dtype.type) - white.T @ white_others
 
 
-def planning_field(belief: Belief) -> PlanningField:
+def planning_field(belief: Believing) -> PlanningField:
     """The covariances of ``belief`` for planning, from the best source it has."""
     grid, posterior = belief.scenario.grid, belief.posterior()
     if not isinstance(belief, HasStationaryPrior):
         return PlanningField(
             grid, posterior, None, np.empty((0, 0)), np.empty((0, 2), dtype=np.int64), np.empty(0)
         )
-    rows, cols = np.ogrid[: grid.shape[0], : grid.shape[1]]
-    table = np.asarray(
-        belief.prior_covariance_db2(np.hypot(rows, cols) * grid.spacing_m), dtype=float
-    )
+    distance_m = offset_distance_m(grid.shape, grid.spacing_m)
+    table = np.asarray(belief.prior_covariance_db2(distance_m), dtype=float)
     readings = belief.measurements
     flat, where = np.unique(grid.flat(readings.cell), return_inverse=True)
     # several noisy readings of one cell are worth one of the harmonic variance; an exact one

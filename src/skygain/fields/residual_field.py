@@ -22,6 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.fields.offsets import offset_distance_m, seen_from
+
 Array = NDArray[np.float32]
 
 SMALLEST_VARIANCE = 1e-5
@@ -50,9 +52,7 @@ class CorrelationModel:
 
     def table(self, shape: tuple[int, int], spacing_m: float) -> Array:
         """``[|row difference|, |col difference|]`` correlation between two cells."""
-        return self.correlation(spacing_m * np.hypot(*np.indices(shape, dtype=float))).astype(
-            np.float32
-        )
+        return self.correlation(offset_distance_m(shape, spacing_m)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +101,7 @@ class ResidualField:
         ``noise_share`` is the noise variance over the model's variance at that cell.
         """
         row, col = cell
-        rows, cols = self.table.shape
-        n, flat = self.size, row * cols + col
+        n, flat = self.size, row * self.table.shape[1] + col
         buffer, used = self.buffer, self.used
         if n == len(buffer) or used[0] != n:  # full, or another field already grew from this one
             buffer = np.empty(
@@ -113,9 +112,7 @@ class ResidualField:
             used = [n]
         tie = buffer[:n, flat].copy()
         pivot = np.sqrt(max(float(self.left[flat]), 0.0) + noise_share + SMALLEST_VARIANCE)
-        correlation = self.table[
-            np.abs(np.arange(rows) - row)[:, None], np.abs(np.arange(cols) - col)
-        ].ravel()
+        correlation = seen_from(self.table, row, col).ravel()
         np.divide(correlation - tie @ buffer[:n], pivot, out=buffer[n])
         used[0] = n + 1
         left = np.maximum(self.left - buffer[n] ** 2, 0.0)

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.fields.offsets import offset_distance_m
 from skygain.fields.planning import FALLBACK_RANGE_M, PlanningField, planning_field
 from skygain.flight.airspace import Airspace
 from skygain.flight.moves import Cells
@@ -166,8 +167,7 @@ def _stationary_kernel(field: PlanningField, start: Cells, steps: int) -> NDArra
     """``[|row offset|, |col offset|]`` prior covariance for every offset that can occur within
     ``steps``."""
     reach = 2 * steps + 3 + int(np.abs(start[:, None] - start[None]).max(initial=0))
-    rows, cols = np.ogrid[:reach, :reach]
-    distance_m = np.hypot(rows, cols) * field.grid.spacing_m
+    distance_m = offset_distance_m((reach, reach), field.grid.spacing_m)
     if field.kernel:
         return np.asarray(field.kernel(distance_m), dtype=float)
     return field.level_db2 * np.exp(-distance_m / FALLBACK_RANGE_M)

@@ -31,11 +31,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skygain.fields.planning import HasStationaryPrior
 from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
 from skygain.planners.sequential_greedy import SequentialGreedyPlanner
+from skygain.posterior import HasStationaryPrior
 from skygain.predictors.base import Belief
 
 LEAST_WIDTH = 30

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from skygain.fields.gaussian_process import Flat, GaussianProcess, Innovation
 from skygain.fields.offset_sum import OffsetSum
+from skygain.fields.offsets import at_flat_offsets, offset_distance_m
 from skygain.predictors.kriging.parameters import CLOSEST_M, KrigingParameters
 from skygain.predictors.kriging.trend import Trend
 from skygain.scenario import Scenario
@@ -73,19 +74,18 @@ class _Candidates:
 
     def _table(self, scenario: Scenario, altitude_m: float) -> Array:
         """``[|row offset|, |column offset|]`` −log₁₀ of the distance."""
-        rows, cols = np.ogrid[
-            : scenario.grid.shape[0] + self.margin, : scenario.grid.shape[1] + self.margin
-        ]
-        square = scenario.grid.spacing_m**2 * (rows**2 + cols**2) + (altitude_m - HEIGHT_M) ** 2
-        return -0.5 * np.log10(np.maximum(square, CLOSEST_M**2))
+        rows, cols = scenario.grid.shape
+        distance = offset_distance_m(
+            (rows + self.margin, cols + self.margin),
+            scenario.grid.spacing_m,
+            altitude_m - HEIGHT_M,
+        )
+        return -np.log10(np.maximum(distance, CLOSEST_M))
 
     def columns(self, table: Array, candidates: Flat, cells: Flat) -> Array:
         """``[n, m]`` −log₁₀ of the distance from each of ``cells[n]`` of the map to each of
         ``candidates[m]``."""
-        at = self.inner[cells]
-        row = np.abs((at // self.shape[1])[:, None] - (candidates // self.shape[1])[None, :])
-        col = np.abs((at % self.shape[1])[:, None] - (candidates % self.shape[1])[None, :])
-        return table[row, col]
+        return at_flat_offsets(table, self.inner[cells], candidates, self.shape[1])
 
 
 def _interleaved(bits: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -155,12 +155,9 @@ class KrigingBelief(Belief):
         return self.state.parameters
 
     def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
-        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading:
-        φ exp(−d/δ) + ν·1[d = 0]."""
-        distance, kernel = np.asarray(distance_m, dtype=float), self.parameters
-        return kernel.sill_db2 * np.exp(-distance / kernel.range_m) + kernel.nugget_db2 * (
-            distance == 0
-        )
+        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any
+        reading."""
+        return self.parameters.kernel.at(distance_m)
 
     def updated(self, measurements: Measurements) -> KrigingBelief:
         """The belief after ``measurements`` as well.

@@ -125,13 +125,7 @@ class _Setting:
     def kernels(self, parameters: KrigingParameters) -> tuple[CellKernel, CellKernel]:
         """Covariance between observed cells, and between an observed and a predicted one."""
         grid = self.scenario.grid
-        kernel = CellKernel(
-            grid.shape,
-            grid.spacing_m,
-            parameters.sill_db2,
-            parameters.range_m,
-            parameters.nugget_db2,
-        )
+        kernel = CellKernel(grid.shape, grid.spacing_m, parameters.kernel)
         gap = abs(self.scenario.uav_altitude_m - self.scenario.prediction_altitude_m)
         return kernel, (replace(kernel, gap_m=gap) if gap else kernel)
 
@@ -302,12 +296,9 @@ class LocalKrigingBelief(Belief):
         return self._waiting.parameters
 
     def prior_covariance_db2(self, distance_m: ArrayLike) -> Array:
-        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any reading:
-        φ exp(−d/δ) + ν·1[d = 0]."""
-        distance, kernel = np.asarray(distance_m, dtype=float), self.parameters
-        return kernel.sill_db2 * np.exp(-distance / kernel.range_m) + kernel.nugget_db2 * (
-            distance == 0
-        )
+        """Covariance in dB² of the shadowing at two cells ``distance_m`` apart before any
+        reading."""
+        return self.parameters.kernel.at(distance_m)
 
     def updated(self, measurements: Measurements) -> LocalKrigingBelief:
         """The belief after ``measurements`` as well.

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.fields.offsets import ExponentialKernel
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 
@@ -75,6 +76,11 @@ class KrigingParameters:
                 f"a covariance needs sill_db2 > 0, range_m > 0 and nugget_db2 >= 0, "
                 f"got {self.sill_db2:g}, {self.range_m:g}, {self.nugget_db2:g}"
             )
+
+    @property
+    def kernel(self) -> ExponentialKernel:
+        """The covariance of the gain about its trend."""
+        return ExponentialKernel(self.sill_db2, self.range_m, self.nugget_db2)
 
     @classmethod
     def known_trend(

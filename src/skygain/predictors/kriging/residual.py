@@ -13,22 +13,26 @@ from __future__ import annotations
 
 __all__ = ["ResidualKrigingBelief", "ResidualKrigingPredictor"]
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from skygain.fields.offsets import at_flat_offsets
 from skygain.fields.residual_field import SMALLEST_VARIANCE, CorrelationModel
 from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
-from skygain.posterior import GaussianProcessPosterior
+from skygain.posterior import JointPosterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.interpolators.readings import combined
 from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.scenario import Scenario
+
+Array = NDArray[np.float64]
+Flat = NDArray[np.int64]
 
 VARIANCE_FLOOR_DB2 = 1e-2
 """smallest variance of the other predictor that residuals are divided by"""
@@ -87,6 +91,72 @@ class ResidualKrigingPredictor(Predictor):
 
 
 @dataclass(frozen=True, eq=False)
+class _Residual:
+    """The standardised residual of a map: one field of unit variance, measured at some cells."""
+
+    table: Array
+    """``[|row offset|, |column offset|]`` its correlation"""
+    cells: Flat
+    """``[n]`` raveled measured cells"""
+    exact: Flat
+    """those of them that were measured without noise"""
+    factor: Any
+    """Cholesky factor of the measured cells' correlation, noise included"""
+
+    @classmethod
+    def at(cls, table: Array, cells: Flat, noise_share: Array) -> _Residual:
+        """Measured at ``cells[n]`` with noise of variance ``noise_share[n]``, in the field's."""
+        R = at_flat_offsets(table, cells, cells, table.shape[1])
+        R[np.diag_indices_from(R)] += noise_share + SMALLEST_VARIANCE
+        return cls(table, cells, cells[noise_share == 0], cho_factor(R, lower=True))
+
+    def correlation(self, first: Flat, second: Flat) -> Array:
+        """``[n, m]`` before any reading."""
+        return at_flat_offsets(self.table, first, second, self.table.shape[1])
+
+    def explained(self, first: Flat, second: Flat) -> Array:
+        """``[n, m]`` the part of it that the readings take away."""
+        return self.correlation(self.cells, first).T @ cho_solve(
+            self.factor, self.correlation(self.cells, second)
+        )
+
+    def on_the_map(self, residual: Array) -> tuple[Array, Array]:
+        """Mean ``[P]`` of the field given ``residual[n]``, and the share of the variance that is
+        left."""
+        cross = self.correlation(self.cells, np.arange(self.table.size))
+        solved = cho_solve(self.factor, cross)
+        left = np.maximum(1.0 - np.einsum("ij,ij->j", cross, solved), 0.0)
+        left[self.exact] = 0.0
+        return residual @ solved, left
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualPosterior(JointPosterior):
+    """The other predictor's map with its residual put right."""
+
+    std: Array = field(repr=False)
+    """``[P]`` standard deviation of the other predictor in dB"""
+    left: Array = field(repr=False)
+    """``[P]`` share of its variance that is left"""
+    residual: _Residual = field(repr=False)
+    """the standardised residual"""
+
+    def covariance(self, cells: ArrayLike, others: ArrayLike | None = None) -> Array:
+        first = self._flat(cells)
+        second = first if others is None else self._flat(others)
+        shared = self.residual.correlation(first, second) - self.residual.explained(first, second)
+        shared[np.isin(first, self.residual.exact)] = 0.0
+        shared[:, np.isin(second, self.residual.exact)] = 0.0
+        i, j = np.nonzero(first[:, None] == second)
+        shared[i, j] = self.left[first[i]]
+        return shared * self.std[first][:, None] * self.std[second]
+
+    def _flat(self, cells: ArrayLike) -> Flat:
+        cells = np.asarray(cells, dtype=np.int64)
+        return cells[:, 0] * self.mean_db.shape[1] + cells[:, 1]
+
+
+@dataclass(frozen=True, eq=False)
 class ResidualKrigingBelief(Belief):
     """The other belief and the correlation of what it gets wrong."""
 
@@ -106,59 +176,28 @@ class ResidualKrigingBelief(Belief):
     def updated(self, measurements: Measurements) -> ResidualKrigingBelief:
         return replace(self, other=self.other.updated(measurements))
 
-    def posterior(self) -> GaussianProcessPosterior:
+    def posterior(self) -> ResidualPosterior:
         return self._posterior
 
     @cached_property
-    def _posterior(self) -> GaussianProcessPosterior:
-        grid, prior, data = self.scenario.grid, self._prior, self.measurements
+    def _posterior(self) -> ResidualPosterior:
+        grid, (mean_db, variance_db2), data = self.scenario.grid, self._prior, self.measurements
         data = data.taken(
             np.flatnonzero(~data.censored)
         )  # a reading at the receiver's floor has no residual
         readings = combined(grid.flat(data.cell), data.gain_db, data.noise_std_db**2)
-        mean, std = (
-            prior[0].ravel().copy(),
-            np.sqrt(np.maximum(prior[1].ravel(), VARIANCE_FLOOR_DB2)),
+        mean, at = mean_db.ravel().copy(), readings.cells
+        std = np.sqrt(np.maximum(variance_db2.ravel(), VARIANCE_FLOOR_DB2))
+        residual = _Residual.at(
+            self.model.table(grid.shape, grid.spacing_m).astype(float),
+            at,
+            readings.noise_db2 / std[at] ** 2,
         )
-        table = self.model.table(grid.shape, grid.spacing_m).astype(float)
-        everywhere = np.arange(grid.size)
-
-        def correlation(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.float64]:
-            (r, c), (i, j) = np.divmod(cells, grid.shape[1]), np.divmod(others, grid.shape[1])
-            return table[np.abs(r[:, None] - i), np.abs(c[:, None] - j)]
-
-        at = readings.cells
-        R = correlation(at, at)
-        R[np.diag_indices_from(R)] += readings.noise_db2 / std[at] ** 2 + SMALLEST_VARIANCE
-        factor: Any = cho_factor(R, lower=True) if len(at) else None
-        exact, known = readings.noise_db2 == 0, np.zeros(grid.size, dtype=bool)
-        known[at[exact]] = True
-
-        def explained(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.float64]:
-            if factor is None:
-                return np.zeros((len(cells), len(others)))
-            return correlation(at, cells).T @ cho_solve(factor, correlation(at, others))
-
-        left = np.ones(grid.size)
-        if factor is not None:
-            cross = correlation(at, everywhere)
-            solved = cho_solve(factor, cross)
-            mean += std * (((readings.gain_db - mean[at]) / std[at]) @ solved)
-            left = np.maximum(1.0 - np.einsum("ij,ij->j", cross, solved), 0.0)
-            mean[at[exact]] = readings.gain_db[exact]
-            left[known] = 0.0
-
-        def covariance(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.float64]:
-            a, b = grid.flat(cells), grid.flat(others)
-            shared = correlation(a, b) - explained(a, b)
-            shared[known[a]] = 0.0
-            shared[:, known[b]] = 0.0
-            same = a[:, None] == b[None]
-            shared[same] = np.broadcast_to(left[a][:, None], same.shape)[same]
-            return shared * std[a][:, None] * std[b]
-
-        return GaussianProcessPosterior(
-            mean.reshape(grid.shape), (left * std**2).reshape(grid.shape), covariance
+        explained, left = residual.on_the_map((readings.gain_db - mean[at]) / std[at])
+        mean += std * explained
+        mean[residual.exact] = readings.gain_db[readings.noise_db2 == 0]
+        return ResidualPosterior(
+            mean.reshape(grid.shape), (left * std**2).reshape(grid.shape), std, left, residual
         )
 
     @property

@@ -83,13 +83,7 @@ class KrigingState:
         """The state before any data."""
         grid = scenario.grid
         gap = abs(scenario.uav_altitude_m - scenario.prediction_altitude_m)
-        kernel = CellKernel(
-            grid.shape,
-            grid.spacing_m,
-            parameters.sill_db2,
-            parameters.range_m,
-            parameters.nugget_db2,
-        )
+        kernel = CellKernel(grid.shape, grid.spacing_m, parameters.kernel)
         return cls(
             parameters=parameters,
             process=GaussianProcess.unobserved(

@@ -7,7 +7,7 @@ one. From too few readings nothing can be fitted; then textbook values stand in.
 
 from __future__ import annotations
 
-__all__ = ["LEAST_READINGS", "Answer", "Covariance", "RivalPredictor"]
+__all__ = ["LEAST_READINGS", "Answer", "RivalPredictor"]
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.fields.offsets import ExponentialKernel
 from skygain.ground.errors import InputError, require
 from skygain.predictors.interpolators.interpolation import InterpolationBelief, ReadingsPredictor
 from skygain.predictors.interpolators.readings import Readings
@@ -31,18 +32,6 @@ LEAST_READINGS = 8
 """readings from which a covariance is fitted"""
 ENTRIES = 16_000_000
 """covariances between cells and readings that are held at a time, which bounds the memory"""
-
-
-@dataclass(frozen=True)
-class Covariance:
-    """φ exp(−d/δ), plus ν at d = 0."""
-
-    sill_db2: float
-    """φ"""
-    range_m: float
-    """δ"""
-    nugget_db2: float
-    """ν"""
 
 
 @dataclass(frozen=True)
@@ -68,7 +57,7 @@ class RivalPredictor(ReadingsPredictor):
 
     @abstractmethod
     def fitted(
-        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: Covariance | None
+        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: ExponentialKernel | None
     ) -> Answer:
         """The process given gains about zero at positions about zero; ``told`` is its covariance,
         ``None`` asks for a fit."""
@@ -99,7 +88,7 @@ class RivalPredictor(ReadingsPredictor):
             mean[part], variance[part] = answer(xy[part])
         return level + scale * mean, scale**2 * np.maximum(variance, 0.0)
 
-    def _begun(self, gain_db: Array) -> tuple[float, float, Covariance | None]:
+    def _begun(self, gain_db: Array) -> tuple[float, float, ExponentialKernel | None]:
         """What is taken off the gains, what they are divided by, and the covariance if it is not to
         be fitted."""
         parameters, level = self.parameters, float(gain_db.mean())
@@ -109,5 +98,4 @@ class RivalPredictor(ReadingsPredictor):
             parameters = generic_parameters("constant")
         else:
             return level, float(gain_db.std()), None
-        told = Covariance(parameters.sill_db2, parameters.range_m, parameters.nugget_db2)
-        return level, 1.0, told
+        return level, 1.0, parameters.kernel

@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from skygain.fields.offsets import ExponentialKernel
 from skygain.ground.errors import require
-from skygain.predictors.rivals.base import Answer, Array, Covariance, RivalPredictor
+from skygain.predictors.rivals.base import Answer, Array, RivalPredictor
 
 LENGTH_M = 50.0
 """unit of length, and the range the fit begins with"""
@@ -20,7 +21,7 @@ STEPS, RATE = 60, 0.1
 """of Adam, as in the library's own examples"""
 
 
-def _model(xy: Any, gain: Any, noise: Any, told: Covariance | None) -> Any:
+def _model(xy: Any, gain: Any, noise: Any, told: ExponentialKernel | None) -> Any:
     """An exact process with an exponential covariance; a nugget counts as noise that all readings
     share."""
     import gpytorch
@@ -79,7 +80,7 @@ class GPyTorchPredictor(RivalPredictor):
     package: ClassVar[str] = "gpytorch"
 
     def fitted(
-        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: Covariance | None
+        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: ExponentialKernel | None
     ) -> Answer:
         gpytorch, torch = require("gpytorch", "rivals"), require("torch", "rivals")
         xy, gain, noise = (

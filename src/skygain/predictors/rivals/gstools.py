@@ -8,7 +8,8 @@ import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
-from skygain.predictors.rivals.base import Answer, Array, Covariance, RivalPredictor
+from skygain.fields.offsets import ExponentialKernel
+from skygain.predictors.rivals.base import Answer, Array, RivalPredictor
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class GSToolsPredictor(RivalPredictor):
     package: ClassVar[str] = "gstools"
 
     def fitted(
-        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: Covariance | None
+        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: ExponentialKernel | None
     ) -> Answer:
         import gstools as gs
 

@@ -11,7 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from skygain.predictors.rivals.base import Answer, Array, Covariance, RivalPredictor
+from skygain.fields.offsets import ExponentialKernel
+from skygain.predictors.rivals.base import Answer, Array, RivalPredictor
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class PyKrigePredictor(RivalPredictor):
     package: ClassVar[str] = "pykrige"
 
     def fitted(
-        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: Covariance | None
+        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: ExponentialKernel | None
     ) -> Answer:
         from pykrige.ok import OrdinaryKriging
 
@@ -47,7 +48,7 @@ class PyKrigePredictor(RivalPredictor):
         return answer
 
 
-def _single(xy_m: Array, gain_db: Array, told: Covariance) -> Answer:
+def _single(xy_m: Array, gain_db: Array, told: ExponentialKernel) -> Answer:
     """Ordinary Kriging from one reading, which the library refuses: the reading everywhere, with
     twice the variogram."""
 

@@ -9,7 +9,8 @@ import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
-from skygain.predictors.rivals.base import Answer, Array, Covariance, RivalPredictor
+from skygain.fields.offsets import ExponentialKernel
+from skygain.predictors.rivals.base import Answer, Array, RivalPredictor
 
 SMALLEST_NOISE = 1e-9
 """added to the variance of every reading; keeps the factor finite"""
@@ -22,7 +23,7 @@ class ScikitLearnPredictor(RivalPredictor):
     package: ClassVar[str] = "sklearn"
 
     def fitted(
-        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: Covariance | None
+        self, xy_m: Array, gain_db: Array, noise_db2: Array, told: ExponentialKernel | None
     ) -> Answer:
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
