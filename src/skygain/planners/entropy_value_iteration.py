@@ -38,9 +38,12 @@ from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.planners.search.joint_paths import (
     LOG_2_PI_E,
     TURNED_MOVES,
+    Known,
+    Scale,
     allowed_squares,
-    kernel_rewards,
-    place_rewards,
+    rewards_by_offset,
+    rewards_by_place,
+    room_for,
     state_count,
     values_by_offset,
     values_by_place,
@@ -132,28 +135,21 @@ class EntropyPlanner(Planner):
         floor = KNOWN_SHARE * float(kernel[0, 0])
         # entropy of unrelated readings, one move after their cell was read: the natural zero of the
         # rewards
-        shift = (
-            len(start)
-            * 0.5
-            * (LOG_2_PI_E + np.log(max(kernel[0, 0] - kernel[1, 0] ** 2 / kernel[0, 0], floor)))
-        )
+        unrelated = kernel[0, 0] - kernel[1, 0] ** 2 / kernel[0, 0]
+        shift = len(start) * 0.5 * (LOG_2_PI_E + np.log(max(unrelated, floor)))
+        scale, room = Scale(floor, float(shift)), room_for(len(start))
         if self.conditioned:
-            places, posterior = _posterior_of_reach(field, start, allowed)
-            arguments = (places, posterior, floor, air.separate, air.min_cells, shift)
-            values, begin = values_by_place(start, steps, allowed, *arguments)
-            n = len(start)
-            scratch = np.empty((5 * n, 5 * n)), np.zeros((4 * n, 4 * n), dtype=bool), np.empty(4**n)
-
-            def rewards(now: Cells) -> NDArray[np.float64]:
-                place_rewards(now, *arguments, *scratch)
-                return scratch[2].copy()
+            known = _posterior_of_reach(field, start, allowed)
+            values, begin = values_by_place(start, steps, allowed, known, air, scale)
         else:
-            values, begin = values_by_offset(
-                start, steps, allowed, kernel, floor, air.separate, air.min_cells, shift
-            )
+            values, begin = values_by_offset(start, steps, allowed, kernel, air, scale)
 
-            def rewards(now: Cells) -> NDArray[np.float64]:
-                return kernel_rewards(now, kernel, floor, air.separate, air.min_cells, shift)
+        def rewards(now: Cells) -> NDArray[np.float64]:
+            if self.conditioned:
+                rewards_by_place(now, known, air, scale, room)
+            else:
+                rewards_by_offset(now, kernel, air, scale, room)
+            return room.rewards.copy()
 
         return _read_off(start, steps, allowed, values, begin, rewards, rng)
 
@@ -173,22 +169,19 @@ def _stationary_kernel(field: PlanningField, start: Cells, steps: int) -> NDArra
     return field.level_db2 * np.exp(-distance_m / FALLBACK_RANGE_M)
 
 
-def _posterior_of_reach(
-    field: PlanningField, start: Cells, allowed: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Numbers of the reachable cells ``[row, col]`` (−1 elsewhere) and their posterior
-    covariance."""
+def _posterior_of_reach(field: PlanningField, start: Cells, allowed: NDArray[np.bool_]) -> Known:
+    """The posterior covariance of the reachable cells."""
     mask = np.zeros(field.grid.shape, dtype=bool)
     mask[start[:, 0], start[:, 1]] = True
     for u, (row, col) in enumerate(start):
         t, a, b = np.nonzero(allowed[u])
         mask[row + a + b - t, col + a - b] = True
     cells = np.argwhere(mask)
-    places = np.full(field.grid.shape, -1, dtype=np.int64)
-    places[mask] = np.arange(len(cells))
+    number = np.full(field.grid.shape, -1, dtype=np.int64)
+    number[mask] = np.arange(len(cells))
     source = field.near(start, MOST_READINGS).conditioned()
     white = source.whitened(cells)
-    return places, source.covariance(cells, cells, white, white)
+    return Known(number, source.covariance(cells, cells, white, white))
 
 
 def _read_off(start, steps, allowed, values, begin, rewards, rng):  # type: ignore[no-untyped-def]

@@ -20,7 +20,6 @@ With ``entropy`` a plan carries a certificate (`skygain.planners.search.certific
 from __future__ import annotations
 
 __all__ = [
-    "OBJECTIVES",
     "SequentialGreedyPlanner",
     "independent_greedy_planner",
     "tree_search_planner",
@@ -39,22 +38,13 @@ from skygain.ground.errors import InputError
 from skygain.planners.base import Plan, Planner
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.planners.search.certificate import certified
-from skygain.planners.search.path_search import (
-    ENTROPY,
-    MUTUAL_INFORMATION,
-    VARIANCE,
-    Traffic,
-    beam_path,
-    exact_path,
-    path_value,
-)
-from skygain.planners.search.reach import LocalReach
+from skygain.planners.search.objectives import Objective
+from skygain.planners.search.path_search import Traffic, beam_path, exact_path, path_value
+from skygain.planners.search.reach import Attention, LocalReach
 from skygain.planners.search.tree_search import tree_path
 from skygain.planners.search.volatility import volatility
 from skygain.predictors.base import Belief
 
-OBJECTIVES = {"variance": VARIANCE, "entropy": ENTROPY, "mutual-information": MUTUAL_INFORMATION}
-"""names of the objectives"""
 GAIN_SHARE = 1e-4
 """a new path replaces the old one in a sweep if it gains more than this share"""
 MOST_SWEEPS = 4
@@ -99,10 +89,7 @@ class SequentialGreedyPlanner(Planner):
     """how far beyond its reach a UAV looks for cells to learn about"""
 
     def __post_init__(self) -> None:
-        if self.objective not in OBJECTIVES:
-            raise InputError(
-                f"unknown objective {self.objective!r}; known: {', '.join(OBJECTIVES)}"
-            )
+        Objective.named(self.objective)
         if (
             min(self.horizon, self.commit_steps, self.width) < 1
             or min(self.sweeps, self.tree_rounds, self.restarts) < 0
@@ -151,20 +138,16 @@ class SequentialGreedyPlanner(Planner):
         stride = self.stride or (1 if steps <= 24 else 2)
         air, flying = Airspace.of(swarm), np.flatnonzero(swarm.flying)
         ahead = np.minimum(steps, swarm.steps_left)
+        attention = Attention(
+            Objective.named(self.objective),
+            self.noise_db2,
+            stride,
+            self.most_readings,
+            self.most_targets,
+            self.target_range_m,
+        )
         reach = {
-            int(u): LocalReach.around(
-                field,
-                swarm,
-                int(u),
-                int(ahead[u]),
-                weight=weight,
-                objective=OBJECTIVES[self.objective],
-                noise_db2=self.noise_db2,
-                stride=stride,
-                most_readings=self.most_readings,
-                most_targets=self.most_targets,
-                target_range_m=self.target_range_m,
-            )
+            int(u): LocalReach.around(field, swarm, int(u), int(ahead[u]), weight, attention)
             for u in flying
         }
         paths = np.repeat(swarm.cells[:, None], steps + 1, axis=1)

@@ -18,17 +18,24 @@ from __future__ import annotations
 
 __all__ = [
     "TURNED_MOVES",
+    "Known",
+    "Scale",
     "allowed_squares",
+    "rewards_by_offset",
+    "rewards_by_place",
+    "room_for",
     "state_count",
-    "step_rewards",
     "values_by_offset",
     "values_by_place",
 ]
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from skygain.flight.airspace import keeps_apart
 from skygain.flight.moves import MOVES
 
 TURNED_MOVES = MOVES[[2, 3, 1, 0]]
@@ -41,6 +48,49 @@ NEVER = np.float32(-np.inf)
 def state_count(n_uavs: int, horizon: int) -> int:
     """Joint positions whose values are kept: Σ_{t < horizon} ((t + 1)²)^N."""
     return sum((t + 1) ** (2 * n_uavs) for t in range(horizon))
+
+
+class Scale(NamedTuple):
+    """How entropies are counted."""
+
+    floor_db2: float
+    """variance below which a cell is known: held already, or held by another UAV; such a cell
+    counts once, so adds nothing"""
+    shift_nats: float
+    """taken off every reward, so that values stay small"""
+
+
+class Known(NamedTuple):
+    """Covariances that depend on the place."""
+
+    number: NDArray[np.int64]
+    """``[row, col]`` number of each cell that can be reached, −1 elsewhere"""
+    covariance: NDArray[np.float64]
+    """``[k, k]`` covariance of the cells by number"""
+
+
+class Room(NamedTuple):
+    """Where the rewards of one joint position of n UAVs are worked out."""
+
+    cells: NDArray[np.int64]
+    """``[5n, (row, col)]`` the present cells, then the 4 next ones of UAV 0, of UAV 1, …"""
+    cov: NDArray[np.float64]
+    """``[5n, 5n]`` their covariance; overwritten"""
+    forbidden: NDArray[np.bool_]
+    """``[4n, 4n]`` pairs of next cells, of different UAVs, that break the separation rules"""
+    rewards: NDArray[np.float64]
+    """``[4^n]`` rewards, −∞ where forbidden; the last UAV's move runs fastest"""
+
+
+@njit(cache=True)
+def room_for(n):
+    """Room for ``n`` UAVs."""
+    return Room(
+        np.empty((5 * n, 2), dtype=np.int64),
+        np.empty((5 * n, 5 * n)),
+        np.zeros((4 * n, 4 * n), dtype=np.bool_),
+        np.empty(4**n),
+    )
 
 
 @njit(cache=True)
@@ -77,21 +127,13 @@ def allowed_squares(
 
 
 @njit(cache=True)
-def step_rewards(cov, n, floor, forbidden, out, shift):
-    """Entropy of the new readings given the present ones, for every joint move.
+def step_rewards(n, scale, room):
+    """Entropy of the new readings given the present ones, for every joint move of ``n`` UAVs.
 
-    Args:
-        cov: ``[5n, 5n]`` covariance of the n present cells, then of the 4 next cells of UAV 0, of
-            UAV 1, …; overwritten.
-        n: UAVs, 1 to 3.
-        floor: variance below which a cell is known: held already, or held by another UAV; such a
-            cell counts once, so adds nothing.
-        forbidden: ``[4n, 4n]`` pairs of next cells (of different UAVs) that break the separation
-            rules.
-        out: ``[4^n]`` rewards minus ``shift``, −∞ where forbidden; the last UAV's move runs
-            fastest.
+    Reads ``room.cov`` and ``room.forbidden``, and fills ``room.rewards``.
     """
-    size = 5 * n
+    cov, forbidden, out = room.cov, room.forbidden, room.rewards
+    floor, shift, size = scale.floor_db2, scale.shift_nats, 5 * n
     for k in range(n):  # eliminate the present cells one by one
         pivot = cov[k, k]
         if pivot <= floor:
@@ -135,7 +177,7 @@ def step_rewards(cov, n, floor, forbidden, out, shift):
 
 
 @njit(cache=True)
-def find_forbidden(now, separate, min_cells, out):
+def find_forbidden(now, air, out):
     """Fill ``out[4n, 4n]`` with the pairs of next cells of UAVs at ``now[n, 2]`` that break the
     separation rules."""
     n = len(now)
@@ -148,78 +190,63 @@ def find_forbidden(now, separate, min_cells, out):
                         now[v, 0] + TURNED_MOVES[k, 0],
                         now[v, 1] + TURNED_MOVES[k, 1],
                     )
-                    clash = False
-                    if separate:
-                        clash = row == other_row and col == other_col
-                        there = row == now[v, 0] and col == now[v, 1]
-                        clash = clash or (
-                            there and other_row == now[u, 0] and other_col == now[u, 1]
-                        )
-                    if (
-                        min_cells > 0
-                        and np.sqrt((row - other_row) ** 2.0 + (col - other_col) ** 2.0)
-                        < min_cells - 1e-9
-                    ):
-                        clash = True
+                    clash = not keeps_apart(row, col, other_row, other_col, air)
+                    there = row == now[v, 0] and col == now[v, 1]
+                    back = other_row == now[u, 0] and other_col == now[u, 1]
+                    clash = clash or (air.separate and there and back)
                     out[4 * u + m, 4 * v + k] = clash
 
 
 @njit(cache=True)
-def _fill_kernel(now, kernel, cells, cov):
-    """Fill ``cov[5n, 5n]`` for UAVs at ``now`` from ``kernel[|row offset|, |col offset|]``;
-    ``cells[5n, 2]`` is scratch."""
+def _find_cells(now, cells):
+    """Fill ``cells[5n, 2]`` with the present cells of UAVs at ``now[n, 2]``, then the next ones of
+    each."""
     n = len(now)
     for u in range(n):
         cells[u] = now[u]
         for m in range(4):
             cells[n + 4 * u + m, 0] = now[u, 0] + TURNED_MOVES[m, 0]
             cells[n + 4 * u + m, 1] = now[u, 1] + TURNED_MOVES[m, 1]
-    for i in range(5 * n):
+
+
+@njit(cache=True)
+def rewards_by_offset(now, kernel, air, scale, room):
+    """Fill ``room.rewards`` for UAVs at ``now[n, 2]`` under a stationary kernel ``kernel[|row
+    offset|, |col offset|]``."""
+    cells, cov = room.cells, room.cov
+    _find_cells(now, cells)
+    for i in range(len(cells)):
         for j in range(i + 1):
             value = kernel[abs(cells[i, 0] - cells[j, 0]), abs(cells[i, 1] - cells[j, 1])]
             cov[i, j] = value
             cov[j, i] = value
+    find_forbidden(now, air, room.forbidden)
+    step_rewards(len(now), scale, room)
 
 
 @njit(cache=True)
-def kernel_rewards(now, kernel, floor, separate, min_cells, shift):
-    """``[4^n]`` rewards of UAVs at ``now[n, 2]`` under a stationary kernel."""
-    n = len(now)
-    cov, cells = np.empty((5 * n, 5 * n)), np.empty((5 * n, 2), dtype=np.int64)
-    forbidden = np.zeros((4 * n, 4 * n), dtype=np.bool_)
-    out = np.empty(4**n)
-    _fill_kernel(now, kernel, cells, cov)
-    find_forbidden(now, separate, min_cells, forbidden)
-    step_rewards(cov, n, floor, forbidden, out, shift)
-    return out
+def _number(cell, known):
+    """Number of a cell in ``known``, −1 if it has none."""
+    rows, cols = known.number.shape
+    if 0 <= cell[0] < rows and 0 <= cell[1] < cols:
+        return known.number[cell[0], cell[1]]
+    return -1
 
 
 @njit(cache=True)
-def place_rewards(now, places, posterior, floor, separate, min_cells, shift, cov, forbidden, out):
-    """Fill ``out[4^n]`` for UAVs at ``now`` from ``posterior[k, k]``, k the number ``places[row,
-    col]``, −1 for an unknown cell."""
-    n = len(now)
-    for i in range(5 * n):
-        u = i if i < n else (i - n) // 4
-        row, col = now[u, 0], now[u, 1]
-        if i >= n:
-            row, col = row + TURNED_MOVES[(i - n) % 4, 0], col + TURNED_MOVES[(i - n) % 4, 1]
-        here = places[row, col] if 0 <= row < places.shape[0] and 0 <= col < places.shape[1] else -1
+def rewards_by_place(now, known, air, scale, room):
+    """Fill ``room.rewards`` for UAVs at ``now[n, 2]`` under the covariances ``known``."""
+    cells, cov = room.cells, room.cov
+    _find_cells(now, cells)
+    for i in range(len(cells)):
+        here = _number(cells[i], known)
         for j in range(i + 1):
-            v = j if j < n else (j - n) // 4
-            row, col = now[v, 0], now[v, 1]
-            if j >= n:
-                row, col = row + TURNED_MOVES[(j - n) % 4, 0], col + TURNED_MOVES[(j - n) % 4, 1]
-            there = (
-                places[row, col]
-                if 0 <= row < places.shape[0] and 0 <= col < places.shape[1]
-                else -1
-            )
-            value = posterior[here, there] if here >= 0 and there >= 0 else 0.0
+            there = _number(cells[j], known)
+            value = known.covariance[here, there] if here >= 0 and there >= 0 else 0.0
             cov[i, j] = value
             cov[j, i] = value
-    find_forbidden(now, separate, min_cells, forbidden)
-    step_rewards(cov, n, floor, forbidden, out, shift)
+    find_forbidden(now, air, room.forbidden)
+    step_rewards(len(now), scale, room)
 
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
@@ -245,7 +272,7 @@ def _best_last_move(best, rewards, at, stride, ahead, side):
 
 
 @njit(cache=True)
-def _offset_table(start, span, kernel, floor, separate, min_cells, shift):
+def _offset_table(start, span, kernel, air, scale):
     """Rewards by relative position, ``[place of UAV 1 (if n = 3), joint move, place of the last
     UAV]``.
 
@@ -256,10 +283,7 @@ def _offset_table(start, span, kernel, floor, separate, min_cells, shift):
     wide = 2 * span + 1
     outer = wide * wide if n == 3 else 1
     table = np.empty((outer, 4**n, wide * wide), dtype=np.float32)
-    now = start.copy()
-    cov, cells = np.empty((5 * n, 5 * n)), np.empty((5 * n, 2), dtype=np.int64)
-    forbidden = np.zeros((4 * n, 4 * n), dtype=np.bool_)
-    rewards = np.empty(4**n)
+    now, room = start.copy(), room_for(n)
     for o in range(outer):
         if n == 3:
             a, b = o // wide - span, o % wide - span
@@ -268,11 +292,9 @@ def _offset_table(start, span, kernel, floor, separate, min_cells, shift):
             if n > 1:
                 a, b = place // wide - span, place % wide - span
                 now[n - 1, 0], now[n - 1, 1] = start[n - 1, 0] + a + b, start[n - 1, 1] + a - b
-            _fill_kernel(now, kernel, cells, cov)
-            find_forbidden(now, separate, min_cells, forbidden)
-            step_rewards(cov, n, floor, forbidden, rewards, shift)
+            rewards_by_offset(now, kernel, air, scale, room)
             for m in range(4**n):
-                table[o, m, place] = rewards[m]
+                table[o, m, place] = room.rewards[m]
     return table
 
 
@@ -311,7 +333,7 @@ def _masks(allowed):
 
 
 @njit(cache=True)
-def values_by_offset(start, horizon, allowed, kernel, floor, separate, min_cells, shift):
+def values_by_offset(start, horizon, allowed, kernel, air, scale):
     """All values under a stationary kernel: (flat values, first index of each step's layer).
 
     ``start[n, 2]`` are the UAVs, ``allowed[n, step, a, b]`` where they may be, ``kernel[|row
@@ -321,7 +343,7 @@ def values_by_offset(start, horizon, allowed, kernel, floor, separate, min_cells
     begin, masks = _begin_of_layers(n, horizon), _masks(allowed)
     values = np.empty(begin[horizon], dtype=np.float32)
     span = max(horizon - 1, 0)
-    table = _offset_table(start, span, kernel, floor, separate, min_cells, shift)
+    table = _offset_table(start, span, kernel, air, scale)
     wide = 2 * span + 1
     best = np.empty(horizon * horizon, dtype=np.float32)
     for t in range(horizon - 1, -1, -1):
@@ -354,16 +376,12 @@ def values_by_offset(start, horizon, allowed, kernel, floor, separate, min_cells
 
 
 @njit(cache=True)
-def values_by_place(start, horizon, allowed, places, posterior, floor, separate, min_cells, shift):
-    """Like `values_by_offset` with a covariance that depends on the place: ``posterior[k, k]``, k
-    given by ``places[row, col]``."""
+def values_by_place(start, horizon, allowed, known, air, scale):
+    """Like `values_by_offset` under covariances that depend on the place."""
     n = len(start)
     begin, masks = _begin_of_layers(n, horizon), _masks(allowed)
     values = np.empty(begin[horizon], dtype=np.float32)
-    cov = np.empty((5 * n, 5 * n))
-    forbidden = np.zeros((4 * n, 4 * n), dtype=np.bool_)
-    rewards = np.empty(4**n)
-    now = np.empty((n, 2), dtype=np.int64)
+    now, room = np.empty((n, 2), dtype=np.int64), room_for(n)
     place, to = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for t in range(horizon - 1, -1, -1):
         side, next_side = t + 1, t + 2
@@ -378,18 +396,8 @@ def values_by_place(start, horizon, allowed, places, posterior, floor, separate,
             if fits:
                 for u in range(n):
                     now[u, 0], now[u, 1] = cell_of(start[u], t, place[u] // side, place[u] % side)
-                place_rewards(
-                    now,
-                    places,
-                    posterior,
-                    floor,
-                    separate,
-                    min_cells,
-                    shift,
-                    cov,
-                    forbidden,
-                    rewards,
-                )
+                rewards_by_place(now, known, air, scale, room)
+                rewards = room.rewards
                 for m in range(4**n):
                     rest, index, fits = m, 0, True
                     for u in range(n - 1, -1, -1):

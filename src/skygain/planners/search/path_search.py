@@ -20,9 +20,6 @@ horizons are searched exhaustively by `exact_path`.
 from __future__ import annotations
 
 __all__ = [
-    "ENTROPY",
-    "MUTUAL_INFORMATION",
-    "VARIANCE",
     "Reach",
     "Traffic",
     "beam_path",
@@ -39,8 +36,7 @@ from numpy.typing import NDArray
 
 from skygain.flight.airspace import Airspace, keeps_apart, may_enter
 from skygain.flight.moves import DCOL, DROW
-
-VARIANCE, ENTROPY, MUTUAL_INFORMATION = 0, 1, 2
+from skygain.planners.search.objectives import Objective
 
 
 class Reach(NamedTuple):
@@ -62,8 +58,8 @@ class Reach(NamedTuple):
     """σ², noise variance of a reading"""
     floor_db2: float
     """variance below which a cell counts as known: measuring it again gains nothing"""
-    objective: int
-    """`VARIANCE`, `ENTROPY` or `MUTUAL_INFORMATION`"""
+    objective: Objective
+    """what a path is paid for"""
 
 
 class Traffic(NamedTuple):
@@ -102,9 +98,8 @@ def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     for other in traffic.others:
         if traffic.left[other] < step:
             continue
-        if (
-            traffic.known[other] == 0
-        ):  # undecided: leave the cell it holds now alone, so that it can hover
+        if traffic.known[other] == 0:
+            # undecided: leave the cell it holds now alone, so that it can hover
             if step == 1 and not keeps_apart(
                 to_row, to_col, traffic.paths[other, 0, 0], traffic.paths[other, 0, 1], air
             ):
@@ -122,20 +117,92 @@ def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     return True
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _gain(cell, chain, depth, row_of, rows, rows_given, maps, reach, row, row_given, image):
-    """Gain of measuring ``cell`` after the ``depth`` nodes of ``chain``; fills its factor rows and
-    its ``image`` on the targets.
+class Rows(NamedTuple):
+    """Measured cells with their rows of a growing Cholesky factor, one per line."""
 
-    ``row_of[node]`` is the measurable cell of a node, ``rows[node]`` its row of the Cholesky
-    factor, ``maps[node]`` its image. Returns −1 if the cell is known or on the path already.
-    """
+    cell: NDArray[np.int64]
+    """``[line]`` measurable cell"""
+    factor: NDArray[np.float32]
+    """``[line, depth]`` its row of the factor"""
+    given: NDArray[np.float32]
+    """``[line, depth]`` the same given the targets, for mutual information; else one line"""
+    image: NDArray[np.float32]
+    """``[line, x]`` its whitened covariance with the targets, for the variance; else no columns"""
+
+
+class Tree(NamedTuple):
+    """Paths kept by the beam: node k is the path that ends there."""
+
+    at: NDArray[np.int64]
+    """``[node]`` cell, numbered in the window that can be reached"""
+    parent: NDArray[np.int64]
+    """``[node]`` the path without its last cell, −1 for the start"""
+    last: NDArray[np.int64]
+    """``[node]`` the latest measured node on the way, the node itself included; −1 for none"""
+    before: NDArray[np.int64]
+    """``[node]`` for a measured node, the one measured before it"""
+    value: NDArray[np.float64]
+    """``[node]`` the objective so far"""
+    rows: Rows
+    """of the measured nodes"""
+
+
+class Layer(NamedTuple):
+    """Candidates for the next depth: at most one per cell, or per cell and last move."""
+
+    slot: NDArray[np.int64]
+    """``[4 * cell + move]`` the candidate that ends so, −1 for none"""
+    at: NDArray[np.int64]
+    """``[candidate]`` cell, numbered in the window"""
+    parent: NDArray[np.int64]
+    """``[candidate]`` node it continues"""
+    move: NDArray[np.int64]
+    """``[candidate]`` move it was first found by"""
+    cell: NDArray[np.int64]
+    """``[candidate]`` measurable cell, −1 if nothing new is measured"""
+    value: NDArray[np.float64]
+    """``[candidate]`` the objective with it"""
+    line: NDArray[np.int64]
+    """``[candidate]`` its line of ``rows``; the last entry is a line to work in"""
+    rows: Rows
+    """of the candidates"""
+
+
+class Window(NamedTuple):
+    """The square of cells that can be reached, numbered row by row."""
+
+    top: int
+    """row of its first cell"""
+    west: int
+    """column of its first cell"""
+    side: int
+    """cells along a side"""
+
+
+@njit(cache=True)
+def _rows(lines, depth, reach):
+    """Room for ``lines`` rows of up to ``depth`` entries."""
+    targets = reach.targets.shape[1] if reach.objective == Objective.VARIANCE else 0
+    both = reach.objective == Objective.MUTUAL_INFORMATION
+    return Rows(
+        np.full(lines, -1),
+        np.empty((lines, depth), dtype=np.float32),
+        np.empty((lines if both else 1, depth), dtype=np.float32),
+        np.empty((lines, targets), dtype=np.float32),
+    )
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _gain(cell, chain, depth, rows, reach, out, line):
+    """Gain of measuring ``cell`` after the ``depth`` lines ``chain`` of ``rows``; fills its own
+    ``line`` of ``out``. −1 if the cell is known or on the path already."""
+    row = out.factor[line]
     variance = reach.among[cell, cell]
     for j in range(depth):
-        if row_of[chain[j]] == cell:
+        if rows.cell[chain[j]] == cell:
             return -1.0
-        value = reach.among[cell, row_of[chain[j]]]
-        above = rows[chain[j]]
+        value = reach.among[cell, rows.cell[chain[j]]]
+        above = rows.factor[chain[j]]
         for i in range(j):
             value -= row[i] * above[i]
         row[j] = value / above[j]
@@ -144,13 +211,14 @@ def _gain(cell, chain, depth, row_of, rows, rows_given, maps, reach, row, row_gi
         return -1.0
     total = variance + reach.noise_db2
     row[depth] = np.sqrt(total)
-    if reach.objective == ENTROPY:
+    if reach.objective == Objective.ENTROPY:
         return 0.5 * np.log(total / reach.noise_db2)
-    if reach.objective == MUTUAL_INFORMATION:
+    if reach.objective == Objective.MUTUAL_INFORMATION:
+        row_given = out.given[line]
         given = reach.given_targets[cell, cell]
         for j in range(depth):
-            value = reach.given_targets[cell, row_of[chain[j]]]
-            above = rows_given[chain[j]]
+            value = reach.given_targets[cell, rows.cell[chain[j]]]
+            above = rows.given[chain[j]]
             for i in range(j):
                 value -= row_given[i] * above[i]
             row_given[j] = value / above[j]
@@ -158,12 +226,13 @@ def _gain(cell, chain, depth, row_of, rows, rows_given, maps, reach, row, row_gi
         given = max(given, 0.0) + reach.noise_db2
         row_given[depth] = np.sqrt(given)
         return 0.5 * np.log(total / given)
+    image = out.image[line]
     n = reach.targets.shape[1]
     source = reach.targets[cell]
     for x in range(n):
         image[x] = source[x]
     for j in range(depth):
-        weight, above = row[j], maps[chain[j]]
+        weight, above = row[j], rows.image[chain[j]]
         for x in range(n):
             image[x] -= weight * above[x]
     scale = np.float32(1.0) / row[depth]
@@ -175,16 +244,28 @@ def _gain(cell, chain, depth, row_of, rows, rows_given, maps, reach, row, row_gi
 
 
 @njit(cache=True)
-def _chain_of(node, measured_parent, chain):
-    """Nodes measured on the way to ``node``, earliest first, in ``chain``; returns how many."""
+def _copied(source, line, to, node, objective):
+    """Copy one line of rows to another."""
+    to.cell[node] = source.cell[line]
+    to.factor[node] = source.factor[line]
+    if objective == Objective.MUTUAL_INFORMATION:
+        to.given[node] = source.given[line]
+    if objective == Objective.VARIANCE:
+        to.image[node] = source.image[line]
+
+
+@njit(cache=True)
+def _chain_of(node, before, chain):
+    """Nodes measured on the way to the measured ``node``, earliest first, in ``chain``; returns how
+    many."""
     depth, k = 0, node
     while k >= 0:
         depth += 1
-        k = measured_parent[k]
+        k = before[k]
     k = node
     for j in range(depth - 1, -1, -1):
         chain[j] = k
-        k = measured_parent[k]
+        k = before[k]
     return depth
 
 
@@ -196,16 +277,88 @@ def _gains_alone(reach: Reach):
     path where they grow.
     """
     out = np.full(len(reach.among), np.inf)
-    if reach.objective == MUTUAL_INFORMATION:
+    if reach.objective == Objective.MUTUAL_INFORMATION:
         return out
     for cell in range(len(out)):
         variance = reach.among[cell, cell]
-        if reach.objective == ENTROPY:
+        if reach.objective == Objective.ENTROPY:
             out[cell] = 0.5 * np.log(1.0 + max(variance, 0.0) / reach.noise_db2)
         else:
             image = reach.targets[cell]
             out[cell] = np.dot(image, image) / max(variance + reach.noise_db2, reach.floor_db2)
     return out
+
+
+@njit(cache=True)
+def _grow(uav, step, first, end, by_move, order, tree, layer, window, alone, reach, traffic, air):
+    """Fill ``layer`` with the continuations of nodes ``first`` to ``end``; returns how many."""
+    count, split, scratch = 0, 1 if by_move else 0, len(layer.line) - 1
+    chain = np.empty(step, dtype=np.int64)
+    for node in range(first, end):
+        row = window.top + tree.at[node] // window.side
+        col = window.west + tree.at[node] % window.side
+        depth = _chain_of(tree.last[node], tree.before, chain)
+        for move in order:
+            to_row, to_col = row + DROW[move], col + DCOL[move]
+            if not may_enter(uav, to_row, to_col, traffic.left[uav] - step + 1, air):
+                continue
+            if not is_clear(uav, step, row, col, to_row, to_col, traffic, air):
+                continue
+            there = (to_row - window.top) * window.side + to_col - window.west
+            cell, gain = reach.number[to_row, to_col], -1.0
+            mine = layer.slot[4 * there + split * move]
+            if mine >= 0:
+                most = tree.value[node] + (alone[cell] if cell >= 0 else 0.0)
+                if most <= layer.value[mine]:
+                    continue  # it cannot win
+            if cell >= 0:
+                line = layer.line[scratch]
+                gain = _gain(cell, chain, depth, tree.rows, reach, layer.rows, line)
+            total = tree.value[node] + max(gain, 0.0)
+            if mine < 0:
+                mine = count
+                layer.slot[4 * there + split * move] = mine
+                layer.move[mine] = move
+                count += 1
+            elif total <= layer.value[mine]:
+                continue
+            layer.at[mine], layer.parent[mine], layer.value[mine] = there, node, total
+            layer.cell[mine] = cell if gain >= 0 else -1
+            layer.line[mine], layer.line[scratch] = layer.line[scratch], layer.line[mine]
+    for c in range(count):
+        layer.slot[4 * layer.at[c] + split * layer.move[c]] = -1
+    return count
+
+
+@njit(cache=True)
+def _keep(chosen, end, tree, layer, objective):
+    """Add the ``chosen`` candidates to ``tree`` from node ``end`` on."""
+    for k in range(len(chosen)):
+        c, node = chosen[k], end + k
+        tree.at[node], tree.parent[node] = layer.at[c], layer.parent[c]
+        tree.value[node] = layer.value[c]
+        before = tree.last[layer.parent[c]]
+        tree.last[node] = before
+        if layer.cell[c] >= 0:
+            tree.last[node], tree.before[node] = node, before
+            layer.rows.cell[layer.line[c]] = layer.cell[c]
+            _copied(layer.rows, layer.line[c], tree.rows, node, objective)
+
+
+@njit(cache=True)
+def _path_to(node, tree, window):
+    """``[k + 1, (row, col)]`` cells on the way to ``node``."""
+    length, k = 0, node
+    while tree.parent[k] >= 0:
+        length += 1
+        k = tree.parent[k]
+    path = np.empty((length + 1, 2), dtype=np.int64)
+    k = node
+    for j in range(length, -1, -1):
+        path[j, 0] = window.top + tree.at[k] // window.side
+        path[j, 1] = window.west + tree.at[k] % window.side
+        k = tree.parent[k]
+    return path
 
 
 @njit(cache=True)
@@ -219,151 +372,58 @@ def beam_path(
     horizons, where the beam is wide enough to hold them. ``order`` is the order in which the four
     moves are tried; among equals the first wins.
     """
-    side = (
-        2 * horizon + 1
-    )  # of the window that can be reached, in which cells are numbered row by row
-    top, west = start[0] - horizon, start[1] - horizon
-    split = 1 if by_move else 0
-    n_targets = reach.targets.shape[1] if reach.objective == VARIANCE else 0
-    most = horizon * width + 1
-    at = np.empty(most, dtype=np.int64)  # cell of each node, numbered in the window
-    parent = np.full(most, -1)
-    last = np.full(most, -1)  # the latest measured node on the way, the node itself included
-    measured_parent = np.full(most, -1)  # for measured nodes: the one measured before
-    row_of = np.full(most, -1)
-    value = np.zeros(most)
-    factor = np.empty((most, horizon), dtype=np.float32)
-    factor_given = np.empty(
-        (most if reach.objective == MUTUAL_INFORMATION else 1, horizon), dtype=np.float32
+    window = Window(start[0] - horizon, start[1] - horizon, 2 * horizon + 1)
+    most, room = horizon * width + 1, 4 * width
+    tree = Tree(
+        np.empty(most, dtype=np.int64),
+        np.full(most, -1),
+        np.full(most, -1),
+        np.full(most, -1),
+        np.zeros(most),
+        _rows(most, horizon, reach),
     )
-    maps = np.empty((most if n_targets else 1, n_targets), dtype=np.float32)
-    # candidates of one layer: at most one per cell and last move
-    slot = np.full(4 * side * side, -1)
-    room = 4 * width
-    c_at = np.empty(room, dtype=np.int64)
-    c_parent = np.empty(room, dtype=np.int64)
-    c_move = np.empty(room, dtype=np.int64)
-    c_cell = np.empty(room, dtype=np.int64)  # measurable cell, −1 if nothing new is measured
-    c_value = np.empty(room)
-    c_row = np.empty((room + 1, horizon), dtype=np.float32)
-    c_given = np.empty((room + 1, horizon), dtype=np.float32)
-    c_map = np.empty((room + 1, n_targets), dtype=np.float32)
-    place = np.arange(
-        room + 1
-    )  # candidate -> line of the three buffers above; the last line is scratch
-    chain = np.empty(horizon, dtype=np.int64)
+    layer = Layer(
+        np.full(4 * window.side * window.side, -1),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room, dtype=np.int64),
+        np.empty(room),
+        np.arange(room + 1),
+        _rows(room + 1, horizon, reach),
+    )
     alone = _gains_alone(reach)
-    at[0] = horizon * side + horizon
+    tree.at[0] = horizon * window.side + horizon
     first, end = 0, 1
     for step in range(1, horizon + 1):
-        count = 0
-        for node in range(first, end):
-            row, col = top + at[node] // side, west + at[node] % side
-            depth = _chain_of(last[node], measured_parent, chain)
-            for k in range(4):
-                to_row, to_col = row + DROW[order[k]], col + DCOL[order[k]]
-                if not may_enter(uav, to_row, to_col, traffic.left[uav] - step + 1, air):
-                    continue
-                if not is_clear(uav, step, row, col, to_row, to_col, traffic, air):
-                    continue
-                there, cell, gain = (
-                    (to_row - top) * side + to_col - west,
-                    reach.number[to_row, to_col],
-                    -1.0,
-                )
-                mine = slot[4 * there + split * order[k]]
-                if mine >= 0 and value[node] + (alone[cell] if cell >= 0 else 0.0) <= c_value[mine]:
-                    continue  # it cannot win
-                if cell >= 0:
-                    line = place[room]
-                    gain = _gain(
-                        cell,
-                        chain,
-                        depth,
-                        row_of,
-                        factor,
-                        factor_given,
-                        maps,
-                        reach,
-                        c_row[line],
-                        c_given[line],
-                        c_map[line],
-                    )
-                total = value[node] + max(gain, 0.0)
-                if mine < 0:
-                    mine = count
-                    slot[4 * there + split * order[k]] = mine
-                    c_move[mine] = order[k]
-                    count += 1
-                elif total <= c_value[mine]:
-                    continue
-                c_at[mine], c_parent[mine], c_value[mine] = there, node, total
-                c_cell[mine] = cell if gain >= 0 else -1
-                place[mine], place[room] = place[room], place[mine]
+        count = _grow(
+            uav, step, first, end, by_move, order, tree, layer, window, alone, reach, traffic, air
+        )
         if count == 0:
             break
-        chosen = np.argsort(-c_value[:count], kind="mergesort")[:width]
-        first = end
-        for c in chosen:
-            node, line = end, place[c]
-            at[node], parent[node], value[node] = c_at[c], c_parent[c], c_value[c]
-            before = last[c_parent[c]]
-            last[node] = before
-            if c_cell[c] >= 0:
-                last[node], measured_parent[node], row_of[node] = node, before, c_cell[c]
-                factor[node] = c_row[line]
-                if reach.objective == MUTUAL_INFORMATION:
-                    factor_given[node] = c_given[line]
-                if n_targets:
-                    maps[node] = c_map[line]
-            end += 1
-        for c in range(count):
-            slot[4 * c_at[c] + split * c_move[c]] = -1
+        chosen = np.argsort(-layer.value[:count], kind="mergesort")[:width]
+        _keep(chosen, end, tree, layer, reach.objective)
+        first, end = end, end + len(chosen)
     best = first
     for node in range(first, end):
-        if value[node] > value[best]:
+        if tree.value[node] > tree.value[best]:
             best = node
-    length, k = 0, best
-    while parent[k] >= 0:
-        length += 1
-        k = parent[k]
-    path = np.empty((length + 1, 2), dtype=np.int64)
-    k = best
-    for j in range(length, -1, -1):
-        path[j, 0], path[j, 1] = top + at[k] // side, west + at[k] % side
-        k = parent[k]
-    return path, value[best]
+    return _path_to(best, tree, window), tree.value[best]
 
 
 @njit(cache=True)
 def path_value(path, reach: Reach):
     """Objective of one path ``[k + 1, (row, col)]``, its first cell not counted."""
     n = len(path)
-    n_targets = reach.targets.shape[1] if reach.objective == VARIANCE else 0
-    factor = np.empty((n, n), dtype=np.float32)
-    given = np.empty((n, n), dtype=np.float32)
-    maps = np.empty((n, n_targets), dtype=np.float32)
-    row_of, chain = np.empty(n, dtype=np.int64), np.arange(n)
+    rows, chain = _rows(n, n, reach), np.arange(n)
     depth, total = 0, 0.0
     for k in range(1, n):
         cell = reach.number[path[k, 0], path[k, 1]]
         if cell < 0:
             continue
-        gain = _gain(
-            cell,
-            chain,
-            depth,
-            row_of,
-            factor,
-            given,
-            maps,
-            reach,
-            factor[depth],
-            given[depth],
-            maps[depth],
-        )
+        gain = _gain(cell, chain, depth, rows, reach, rows, depth)
         if gain >= 0:
-            row_of[depth] = cell
+            rows.cell[depth] = cell
             total += gain
             depth += 1
     return total
@@ -373,7 +433,6 @@ def path_value(path, reach: Reach):
 def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: Airspace):
     """Like `beam_path`, over all paths, depth first: up to 4·3^(horizon − 1) of them, more where
     turning back pays."""
-    n_targets = reach.targets.shape[1] if reach.objective == VARIANCE else 0
     path = np.empty((horizon + 1, 2), dtype=np.int64)
     best = np.empty((horizon + 1, 2), dtype=np.int64)
     path[0] = start
@@ -381,10 +440,7 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
     choice = np.full(horizon + 1, -1)
     values = np.zeros(horizon + 1)
     depths = np.zeros(horizon + 1, dtype=np.int64)  # measured cells up to each step
-    factor = np.empty((horizon + 1, horizon + 1), dtype=np.float32)
-    given = np.empty((horizon + 1, horizon + 1), dtype=np.float32)
-    maps = np.empty((horizon + 1, n_targets), dtype=np.float32)
-    row_of, chain = np.empty(horizon + 1, dtype=np.int64), np.arange(horizon + 1)
+    rows, chain = _rows(horizon + 1, horizon + 1, reach), np.arange(horizon + 1)
     best_length, best_value = 0, 0.0
     step = 0
     while step >= 0:
@@ -404,24 +460,12 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
             continue
         cell, gain, depth = reach.number[to_row, to_col], -1.0, depths[step]
         if cell >= 0:
-            gain = _gain(
-                cell,
-                chain,
-                depth,
-                row_of,
-                factor,
-                given,
-                maps,
-                reach,
-                factor[depth],
-                given[depth],
-                maps[depth],
-            )
+            gain = _gain(cell, chain, depth, rows, reach, rows, depth)
         step += 1
         path[step, 0], path[step, 1] = to_row, to_col
         depths[step] = depth
         if gain >= 0:
-            row_of[depth] = cell
+            rows.cell[depth] = cell
             depths[step] = depth + 1
         values[step] = values[step - 1] + max(gain, 0.0)
     return best[: best_length + 1].copy(), best_value

@@ -11,7 +11,7 @@ over the map.
 
 from __future__ import annotations
 
-__all__ = ["LocalReach", "target_cells"]
+__all__ = ["Attention", "LocalReach", "target_cells"]
 
 from dataclasses import dataclass
 
@@ -23,9 +23,13 @@ from skygain.fields.planning import Conditioned, PlanningField
 from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.flight.ways import distances_within
-from skygain.planners.search.path_search import MUTUAL_INFORMATION, VARIANCE, Reach
+from skygain.planners.search.objectives import Objective
+from skygain.planners.search.path_search import Reach
 
 Floats = NDArray[np.float32]
+
+KNOWN_SHARE = 1e-4
+"""share of the prior variance below which a cell counts as known"""
 
 
 def target_cells(
@@ -53,6 +57,24 @@ def target_cells(
     )
 
 
+@dataclass(frozen=True)
+class Attention:
+    """What a UAV looks at, and what it is paid for."""
+
+    objective: Objective
+    """what is maximised"""
+    noise_db2: float
+    """noise variance of a planned reading"""
+    stride: int
+    """1 counts every cell of a path as measured, 2 every second one"""
+    most_readings: int
+    """readings conditioned on, the nearest"""
+    most_targets: int
+    """cells that stand for the map"""
+    target_range_m: float
+    """how far beyond its reach a UAV looks for cells to learn about"""
+
+
 @dataclass(frozen=True, eq=False)
 class LocalReach:
     """Covariances around one UAV given the readings so far, in single precision."""
@@ -73,10 +95,8 @@ class LocalReach:
     """``[m, m]`` covariance of the measurable cells"""
     with_targets: Floats
     """``[m, x]`` covariance of measurable cells and targets"""
-    objective: int
-    """what is maximised"""
-    noise_db2: float
-    """noise variance of a planned reading"""
+    attention: Attention
+    """what it was computed for"""
 
     @classmethod
     def around(
@@ -85,33 +105,26 @@ class LocalReach:
         swarm: Swarm,
         uav: int,
         steps: int,
-        *,
         weight: NDArray[np.float64],
-        objective: int,
-        noise_db2: float,
-        stride: int,
-        most_readings: int,
-        most_targets: int,
-        target_range_m: float,
+        attention: Attention,
     ) -> LocalReach:
-        """The reach of ``uav`` within ``steps``; with ``stride`` 2 only the cells of every second
-        step count as measured."""
+        """The reach of ``uav`` within ``steps``, to learn about cells that count by ``weight[row,
+        col]``."""
         here = swarm.cells[uav]
         distance = distances_within(swarm.flyable, here, steps)
-        near = (distance >= 0) & (distance <= steps) & (distance % stride == 0)
+        near = (distance >= 0) & (distance <= steps) & (distance % attention.stride == 0)
         cells = np.argwhere(near)
         index = np.full(distance.shape, -1, dtype=np.int32)
         index[near] = np.arange(len(cells))
-        if objective in (VARIANCE, MUTUAL_INFORMATION):
-            targets, weights = target_cells(
-                weight, here, steps + target_range_m / swarm.spacing_m, most_targets
-            )
-        else:
+        beyond = attention.target_range_m / swarm.spacing_m
+        if attention.objective == Objective.ENTROPY:  # a matter of the measured cells alone
             targets, weights = np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.float32)
+        else:
+            targets, weights = target_cells(weight, here, steps + beyond, attention.most_targets)
         # readings as far beyond the targets as those are beyond the reach are screened off by
         # nearer ones
-        span = steps + 2 * target_range_m / swarm.spacing_m
-        source = field.near(here[None], most_readings, span).conditioned(np.float32)
+        near_by = field.near(here[None], attention.most_readings, steps + 2 * beyond)
+        source = near_by.conditioned(np.float32)
         white = source.whitened(np.concatenate([cells, targets]))
         mine, theirs = white[:, : len(cells)], white[:, len(cells) :]
         return cls(
@@ -123,49 +136,41 @@ class LocalReach:
             white=white,
             among=source.covariance(cells, cells, mine, mine),
             with_targets=source.covariance(cells, targets, mine, theirs),
-            objective=objective,
-            noise_db2=noise_db2,
+            attention=attention,
         )
 
     def given(self, planned: Cells) -> Reach:
         """The reach when ``planned[p, (row, col)]``, distinct cells, will be measured by others."""
-        among, with_targets = self.among, self.with_targets
-        floor = 1e-4 * self.source.field.level_db2
+        among, with_targets, objective = self.among, self.with_targets, self.attention.objective
         if len(planned):
-            joint = np.concatenate([self.cells, self.targets])
-            white = self.source.whitened(planned)
-            gram = self.source.covariance(planned, planned, white, white).astype(float)
-            gram[np.diag_indices_from(gram)] += self.noise_db2
-            cross = self.source.covariance(planned, joint, white, self.white)
-            shares = solve_triangular(
-                np.linalg.cholesky(gram).astype(np.float32), cross, lower=True, check_finite=False
-            )
+            shares = self._explained(planned, np.concatenate([self.cells, self.targets]))
             mine, theirs = shares[:, : len(self.cells)], shares[:, len(self.cells) :]
             among = among - mine.T @ mine
             with_targets = with_targets - mine.T @ theirs
         given_targets = np.zeros((0, 0), dtype=np.float32)
-        if self.objective == MUTUAL_INFORMATION:
-            given_targets = self._given_targets(planned)
-        if self.objective == VARIANCE:
+        if objective == Objective.MUTUAL_INFORMATION:
+            known = np.unique(np.concatenate([planned, self.targets]), axis=0)
+            shares = self._explained(known, self.cells)
+            given_targets = self.among - shares.T @ shares
+        if objective == Objective.VARIANCE:
             with_targets = with_targets * self.root
         return Reach(
             self.index,
             among,
             np.ascontiguousarray(with_targets),
             given_targets,
-            self.noise_db2,
-            floor,
-            self.objective,
+            self.attention.noise_db2,
+            KNOWN_SHARE * self.source.field.level_db2,
+            objective,
         )
 
-    def _given_targets(self, planned: Cells) -> Floats:
-        """``[m, m]`` covariance of the measurable cells given ``planned`` and all targets."""
-        known = np.unique(np.concatenate([planned, self.targets]), axis=0)
+    def _explained(self, known: Cells, cells: Cells) -> Floats:
+        """``[k, n]`` covariance of the whitened readings of ``known[k]`` with ``cells[n]``, which
+        are the first of ours."""
         white = self.source.whitened(known)
         gram = self.source.covariance(known, known, white, white).astype(float)
-        gram[np.diag_indices_from(gram)] += self.noise_db2
-        cross = self.source.covariance(known, self.cells, white, self.white[:, : len(self.cells)])
-        shares = solve_triangular(
+        gram[np.diag_indices_from(gram)] += self.attention.noise_db2
+        cross = self.source.covariance(known, cells, white, self.white[:, : len(cells)])
+        return solve_triangular(
             np.linalg.cholesky(gram).astype(np.float32), cross, lower=True, check_finite=False
         )
-        return self.among - shares.T @ shares
