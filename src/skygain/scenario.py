@@ -34,6 +34,8 @@ class Scenario:
     """altitude of the map to be predicted, likewise"""
     no_fly: NDArray[np.bool_] | None = None
     """``[row, col]`` cells no UAV may enter, besides buildings"""
+    wanted: NDArray[np.bool_] | None = None
+    """``[row, col]`` cells where a map is wanted; all of them when left out"""
     transmitter_m: tuple[float, float, float] | None = None
     """(x, y, z) of the transmitter in the city's metres, ``None`` when unknown; it may lie outside
     the map"""
@@ -51,15 +53,17 @@ class Scenario:
                     f"{name} must be a positive number, got {value}; give metres above the street "
                     "(or hertz)"
                 )
-        if self.no_fly is not None:
-            mask = np.array(self.no_fly, dtype=bool)
+        for name in ("no_fly", "wanted"):
+            if getattr(self, name) is None:
+                continue
+            mask = np.array(getattr(self, name), dtype=bool)
             if mask.shape != self.grid.shape:
                 raise InputError(
-                    f"no_fly has shape {mask.shape}, but the map has {self.grid.shape}; they must "
+                    f"{name} has shape {mask.shape}, but the map has {self.grid.shape}; they must "
                     "agree"
                 )
             mask.flags.writeable = False
-            object.__setattr__(self, "no_fly", mask)
+            object.__setattr__(self, name, mask)
         if not self.flyable.any():
             raise InputError(
                 f"no cell of {self.city.name!r} is free for flight at {self.uav_altitude_m:g} m: "
@@ -68,8 +72,8 @@ class Scenario:
             )
         if not self.outdoor.any():
             raise InputError(
-                f"no cell of {self.city.name!r} is outdoors at {self.prediction_altitude_m:g} m; "
-                "predict at a higher altitude"
+                f"no cell of {self.city.name!r} is outdoors at {self.prediction_altitude_m:g} m "
+                "where a map is wanted; predict at a higher altitude, or give another `area`"
             )
         if self.transmitter_m is not None:
             check_transmitter(self.city, self.transmitter_m)
@@ -133,8 +137,10 @@ class Scenario:
     @cached_property
     def outdoor(self) -> NDArray[np.bool_]:
         """``[row, col]`` cells where the prediction counts: unobstructed at the prediction
-        altitude."""
+        altitude, and wanted."""
         free = ~self.city.obstructed(self.prediction_altitude_m)
+        if self.wanted is not None:
+            free &= self.wanted
         free.flags.writeable = False
         return free
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["Z", "MemoryLayer", "attributes_of", "flattened", "meeting"]
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,13 +37,17 @@ class MemoryLayer:
     """lines that could not be read, where leaving them out was asked for"""
 
     def features(
-        self, window: Bounds | None = None, field: str | None = None
+        self,
+        window: Bounds | None = None,
+        field: str | None = None,
+        names: Collection[str] = (),
     ) -> tuple[NDArray[np.object_], list[dict[str, Any]]]:
         """Geometries (plane) and their attributes by `plain_name`.
 
         Args:
             window: only features whose bounds meet this rectangle of the file's coordinates.
             field: one more attribute to give, under the file's own name.
+            names: of attributes a reader of files reads; what was read is given anyway.
         """
         shapes = np.empty(len(self.shapes), dtype=object)
         shapes[:] = list(self.shapes)

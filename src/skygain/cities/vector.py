@@ -11,7 +11,7 @@ __all__ = ["SUFFIXES", "Layer", "VectorLayer", "is_vector", "open_layer"]
 
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import resources
@@ -84,16 +84,19 @@ class VectorLayer:
     """how GDAL is to open it"""
 
     def features(
-        self, window: Bounds | None = None, field: str | None = None
+        self,
+        window: Bounds | None = None,
+        field: str | None = None,
+        names: Collection[str] = KNOWN_NAMES,
     ) -> tuple[NDArray[np.object_], list[dict[str, Any]]]:
-        """See `MemoryLayer.features`.
+        """See `MemoryLayer.features`; attributes whose plain name is not in ``names`` are not read.
 
         Raises:
             InputError: the file is damaged.
         """
         raw = require("pyogrio.raw", "geo")
         shapely = require("shapely", "geo")
-        columns = [n for n in self.fields if plain_name(n) in KNOWN_NAMES or n == field]
+        columns = [n for n in self.fields if plain_name(n) in names or n == field]
         with _gdal(self.is_osm) as options:
             meta, _, wkb, values = raw.read(
                 self.source,
@@ -108,11 +111,11 @@ class VectorLayer:
                 if wkb is not None
                 else np.empty(0, dtype=object)
             )
-        names = [str(name) for name in meta["fields"]]
+        read = [str(name) for name in meta["fields"]]
         rows = zip(*values, strict=True) if len(values) else (() for _ in geometries)
         return flattened(
             geometries,
-            [attributes_of(dict(zip(names, row, strict=True)), field) for row in rows],
+            [attributes_of(dict(zip(read, row, strict=True)), field) for row in rows],
         )
 
     def extent(self) -> Bounds | None:
