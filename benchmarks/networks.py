@@ -35,7 +35,7 @@ def operator_scores(run: Run) -> list[Table]:
     network knows its training cities by heart.
     """
     from skygain.networks.operator.network import PropagationOperator
-    from skygain.training.run import autocast
+    from skygain.training.compute import autocast
     from skygain.training.tasks.base import OperatorTask
 
     o = run.options

@@ -8,7 +8,7 @@ with a CRS also knows latitude and longitude.
 
 from __future__ import annotations
 
-__all__ = ["Grid"]
+__all__ = ["SYMMETRIES", "Grid", "random_corner", "turned", "turned_cells"]
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.ground.errors import InputError, require
+
+SYMMETRIES = 8
+"""of a square map, counted as sets of bits: 1 mirrors the rows, 2 mirrors the columns, 4 swaps rows
+and columns afterwards"""
 
 
 @dataclass(frozen=True)
@@ -151,3 +155,39 @@ class Grid:
             )
         pyproj = require("pyproj", "geo")
         return pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+
+
+def random_corner(
+    shape: tuple[int, int], window: tuple[int, int], rng: np.random.Generator
+) -> tuple[int, int]:
+    """First cell (row, col) of a window of ``window`` cells anywhere in maps of ``shape``, every
+    place as likely.
+
+    Raises:
+        InputError: the window does not fit.
+    """
+    if not (1 <= window[0] <= shape[0] and 1 <= window[1] <= shape[1]):
+        raise InputError(
+            f"a crop of {tuple(window)} cells does not fit into maps of {tuple(shape)} cells; "
+            "choose a smaller crop"
+        )
+    row, col = (
+        int(rng.integers(have - want + 1)) for have, want in zip(shape, window, strict=True)
+    )
+    return row, col
+
+
+def turned(maps: NDArray, symmetry: int) -> NDArray:
+    """``maps[..., row, col]`` under one of the `SYMMETRIES`, as a view."""
+    maps = maps[..., :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+    return maps.swapaxes(-1, -2) if symmetry & 4 else maps
+
+
+def turned_cells(cells: ArrayLike, last: tuple[float, float], symmetry: int) -> NDArray:
+    """Where ``cells[..., (row, col)]`` are in `turned` maps whose last cell was ``last``; fractions
+    of cells, or metres (y, x), are turned alike."""
+    out = np.array(cells)
+    for axis in range(2):
+        if symmetry & (1 << axis):
+            out[..., axis] = last[axis] - out[..., axis]
+    return out[..., ::-1] if symmetry & 4 else out

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.datasets import ChannelDataset, open_sample, write_dataset
 from skygain.datasets.layout import VARIABLES, CityRecord
+from skygain.datasets.links import load_links
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 
@@ -266,6 +267,22 @@ def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
             entry.write(bytes(2**20))
     with pytest.raises(InputError, match="not opened"):
         ChannelDataset.open(path)
+
+
+def test_maps_that_no_memory_holds_are_refused(tmp_path: Path) -> None:
+    """Chunks may be left out, so a small file can speak of any number of links."""
+    many = 10**6
+    change: dict[str, bytes | None] = {}
+    for name, rest in {"city_index": [], "tx_m": [3], "gain_db": [3, 121, 121]}.items():
+        shape = [many, *rest]
+        grid = {"name": "regular", "configuration": {"chunk_shape": shape}}
+        if name == "gain_db":
+            change |= metadata("gain_db", shape=shape) | metadata("ray_traced", shape=shape)
+        else:
+            change |= metadata(name, shape=shape, chunk_grid=grid, fill_value=0)
+            change[f"{name}/c/{'/'.join('0' for _ in shape)}"] = None
+    with pytest.raises(InputError, match="GiB of memory; build data sets of fewer cities"):
+        load_links(rewritten(tmp_path / "many.zarr.zip", change), "T1")
 
 
 def test_nothing_is_left_behind_when_writing_fails(

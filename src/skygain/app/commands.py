@@ -46,7 +46,7 @@ def run_kriging(request: TrainKrigingRequest, progress: Progress) -> str:
     """The fitted parameters."""
     from skygain.training.kriging import train_kriging
 
-    return train_kriging(request.data, request.out)
+    return str(train_kriging(request.data, request.out, report=_say))
 
 
 def run_policy(request: TrainPolicyRequest, progress: Progress) -> str:

@@ -1,4 +1,4 @@
-"""The data-set store, its builder and its loader."""
+"""The data-set store, its builder, and what is drawn from it."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ __all__ = [
     "BuildConfig",
     "Case",
     "ChannelDataset",
-    "CropBatch",
-    "CropLoader",
     "Link",
+    "Links",
     "build_dataset",
     "cropped_link",
     "dataset_info",
     "describe_dataset",
-    "mirrored_link",
+    "load_links",
     "open_sample",
     "random_crop",
     "survey_cases",
@@ -23,9 +22,9 @@ __all__ = [
 
 from skygain.datasets.builder import build_dataset
 from skygain.datasets.cases import Case, survey_cases
-from skygain.datasets.crops import cropped_link, mirrored_link, random_crop, turned_link
+from skygain.datasets.crops import cropped_link, random_crop, turned_link
 from skygain.datasets.link import Link
-from skygain.datasets.loader import CropBatch, CropLoader
+from skygain.datasets.links import Links, load_links
 from skygain.datasets.presets import BuildConfig
 from skygain.datasets.sample import open_sample
 from skygain.datasets.store import ChannelDataset

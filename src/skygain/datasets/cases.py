@@ -9,7 +9,7 @@ crops of all other cases as they were.
 
 from __future__ import annotations
 
-__all__ = ["Case", "survey_cases"]
+__all__ = ["FREE_SHARE", "Case", "largest_part", "survey_cases"]
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,12 +23,13 @@ from skygain.datasets.crops import cropped_link
 from skygain.datasets.link import Link
 from skygain.datasets.store import ChannelDataset
 from skygain.flight.starts import start_cells
+from skygain.grid import random_corner
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario, check_transmitter
 
 _CROP, _START, _SURVEY, _ORDER = range(4)
 """the random streams of a case, and the one that orders the links of a city"""
-_FREE_SHARE = 0.25
+FREE_SHARE = 0.25
 """a crop whose largest connected flyable part is smaller than this is drawn again"""
 _DRAWS = 100
 
@@ -132,12 +133,6 @@ def survey_cases(
         raise InputError(
             f"max_surveys must be 1 or more, got {max_surveys}; leave it out to fly all surveys"
         )
-    rows, cols = dataset.grid.shape
-    if not (1 <= crop_shape[0] <= rows and 1 <= crop_shape[1] <= cols):
-        raise InputError(
-            f"a crop of {crop_shape} cells does not fit into the maps of {(rows, cols)} cells; "
-            "choose a smaller crop"
-        )
     links = [i for i in dataset.links(split, altitude_m) if _stands_outdoors(dataset, i)]
     if not links:
         raise InputError(
@@ -183,13 +178,10 @@ def _case(
     crops = np.random.default_rng([seed, _CROP, link])
     places = np.random.default_rng([seed, _START, link])
     for _ in range(_DRAWS):
-        row, col = (
-            int(crops.integers(size - part + 1))
-            for size, part in zip(city.grid.shape, shape, strict=True)
-        )
+        row, col = random_corner(city.grid.shape, shape, crops)
         cropped = city.cropped(row, col, shape, rebase=True)
-        free = _largest_part(~cropped.obstructed(altitude_m))
-        if free.sum() < max(n_uavs, _FREE_SHARE * free.size):
+        free = largest_part(~cropped.obstructed(altitude_m))
+        if free.sum() < max(n_uavs, FREE_SHARE * free.size):
             continue
         scenario = Scenario(
             city=cropped, uav_altitude_m=altitude_m, prediction_altitude_m=altitude_m, no_fly=~free
@@ -214,7 +206,7 @@ def _case(
     )
 
 
-def _largest_part(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def largest_part(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest 4-connected part of ``free[row, col]``."""
     labels, count = ndimage.label(free)
     if count == 0:

@@ -8,17 +8,22 @@ and cut out of them.
 
 from __future__ import annotations
 
-__all__ = ["Links", "View", "load_links", "read_links", "several_paths"]
+__all__ = ["Links", "Paths", "View", "joined", "load_links", "read_links", "several_paths"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.datasets.layout import SPLITS
+from skygain.datasets.store import ChannelDataset
+from skygain.grid import SYMMETRIES, random_corner, turned, turned_cells
 from skygain.ground.errors import InputError
+
+Paths = str | Path | Sequence[str | Path]
+"""one data set or several, by path"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +98,9 @@ class Links:
         having = np.flatnonzero(self.available[:, altitude])
         link = int(having[rng.integers(len(having))])
         row, col = self.corner(rng, side)
-        return self.view(link, altitude, row, col, side, int(rng.integers(8)) if augment else 0)
+        return self.view(
+            link, altitude, row, col, side, int(rng.integers(SYMMETRIES)) if augment else 0
+        )
 
     def corner(self, rng: np.random.Generator, side: int) -> tuple[int, int]:
         """First cell (row, col) of a window of ``side`` cells drawn at random.
@@ -101,34 +108,19 @@ class Links:
         Raises:
             InputError: the maps are smaller than the window.
         """
-        rows, cols = self.height_m.shape[1:]
-        if min(rows, cols) < side:
-            raise InputError(
-                f"the data set's maps have {rows} × {cols} cells; training needs windows of {side} "
-                f"× {side}"
-            )
-        return int(rng.integers(rows - side + 1)), int(rng.integers(cols - side + 1))
+        return random_corner(self.height_m.shape[1:], (side, side), rng)
 
     def view(
         self, link: int, altitude: int, row: int, col: int, side: int, symmetry: int = 0
     ) -> View:
-        """The window of ``side`` cells whose first cell is (row, col).
-
-        ``symmetry`` 0..7 is a set of bits: 1 mirrors the rows, 2 mirrors the columns, 4 swaps rows
-        and columns afterwards.
-        """
+        """The window of ``side`` cells whose first cell is (row, col), under one of the
+        `skygain.grid.SYMMETRIES`."""
         window = (slice(row, row + side), slice(col, col + side))
-        tx_row, tx_col = self.transmitter[link, :2] - (row, col)
-        if symmetry & 1:
-            tx_row = side - 1 - tx_row
-        if symmetry & 2:
-            tx_col = side - 1 - tx_col
-        if symmetry & 4:
-            tx_row, tx_col = tx_col, tx_row
+        place = self.transmitter[link, :2] - (row, col)
+        tx_row, tx_col = turned_cells(place, (side - 1, side - 1), symmetry)
 
         def cut(map_: NDArray) -> NDArray:
-            part = map_[window][:: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
-            return np.ascontiguousarray(part.T if symmetry & 4 else part)
+            return np.ascontiguousarray(turned(map_[window], symmetry))
 
         height = cut(self.height_m[self.city[link]])
         gain = cut(self.gain_db[link, altitude]).astype(np.float32)
@@ -145,9 +137,8 @@ class Links:
         )
 
 
-def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
-    """Read one split (``T1`` … ``T4``) of a data set stored as Zarr (a folder or a ``.zip``), or of
-    several together.
+def load_links(paths: Paths, split: str) -> Links:
+    """Read one split (``T1`` … ``T4``) of a data set, or of several together.
 
     Raises:
         InputError: a file is missing or is no data set, none has a city of that split, or their
@@ -158,63 +149,48 @@ def load_links(paths: str | Path | Sequence[str | Path], split: str) -> Links:
     links = [part for part in found if part is not None]
     if not links:
         raise InputError(
-            f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: T1, "
-            "T2, T3, T4"
+            f"{', '.join(map(str, several))} holds no link of split {split!r}; known splits: "
+            f"{', '.join(SPLITS)}"
         )
-    return links[0] if len(links) == 1 else _together(links)
+    return links[0] if len(links) == 1 else joined(links)
 
 
-def several_paths(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+def several_paths(paths: Paths) -> list[Path]:
     """One data set or several, as a list."""
     return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
 
 
 def read_links(path: Path, split: str) -> Links | None:
     """One data set's links, None if it has none of that split; see `load_links`."""
-    import xarray as xr
-    import zarr
-
-    if not path.exists():
-        raise InputError(
-            f"no data set at {path}; give the path of a .zarr or .zarr.zip data set (see `skygain "
-            "data`)"
-        )
-    try:
-        store = (
-            zarr.storage.ZipStore(path, mode="r")
-            if path.suffix == ".zip"
-            else zarr.storage.LocalStore(path)
-        )
-        data = xr.open_zarr(store, consolidated=False)
-        cities = np.flatnonzero(data["split"].values.astype(str) == split)
-        city_index = data["city_index"].values.astype(np.int64)
-    except (KeyError, OSError, ValueError, BadZipFile) as error:
-        raise InputError(
-            f"{path} is not a Skygain data set ({error}); expected split, city_index, gain_db and "
-            "others"
-        ) from error
-    kept = np.flatnonzero(np.isin(city_index, cities))
+    dataset = ChannelDataset.open(path)
+    cities = np.flatnonzero(np.array(dataset.splits) == split)
+    kept = np.flatnonzero(np.isin(dataset.city_index, cities))
     if not len(kept):
         return None
-    gain = data["gain_db"].isel(link=kept).values.astype(np.float16)
-    x, y = data["x"].values.astype(float), data["y"].values.astype(float)
-    spacing = float(x[1] - x[0])
-    tx = data["tx_m"].isel(link=kept).values.astype(float)
+    gain, ray_traced = dataset.maps(kept)
+    x, y, z = dataset.transmitters_m[kept].T
+    grid = dataset.grid
     return Links(
-        height_m=data["height_m"].isel(city=cities).values.astype(np.float32),
-        city=np.searchsorted(cities, city_index[kept]),
+        height_m=np.stack([dataset.city(city).height_m for city in cities.tolist()]),
+        city=np.searchsorted(cities, dataset.city_index[kept]),
         transmitter=np.stack(
-            [(tx[:, 1] - y[0]) / spacing, (tx[:, 0] - x[0]) / spacing, tx[:, 2]], axis=-1
+            [(y - grid.origin_m[1]) / grid.spacing_m, (x - grid.origin_m[0]) / grid.spacing_m, z],
+            axis=-1,
         ),
         gain_db=gain,
-        ray_traced=data["ray_traced"].isel(link=kept).values.astype(bool),
-        altitude_m=data["altitude"].values.astype(float),
-        available=np.isfinite(gain).any(axis=(2, 3)),
-        spacing_m=spacing,
+        ray_traced=ray_traced,
+        altitude_m=np.array(dataset.altitudes_m),
+        available=np.asarray(np.isfinite(gain).any(axis=(2, 3))),
+        spacing_m=grid.spacing_m,
     )
 
 
-def _together(parts: list[Links]) -> Links:
+def joined(parts: list[Links]) -> Links:
+    """The links of several data sets as those of one.
+
+    Raises:
+        InputError: their maps differ in size.
+    """
     first = parts[0]
     for part in parts[1:]:
         if part.height_m.shape[1:] != first.height_m.shape[1:] or part.spacing_m != first.spacing_m:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.city import Building, City
+from skygain.datasets.chunks import check_chunks
 from skygain.datasets.layout import SPLITS, VARIABLES, CityRecord
 from skygain.datasets.link import Link
 from skygain.grid import Grid
@@ -30,6 +31,8 @@ _MAX_CHUNK_BYTES = 2**28
 """a chunk larger than this is taken for an attack on the memory"""
 _MAX_SMALL_BYTES = 2**31
 """the same for the variables that are held in memory as a whole"""
+_MAX_MAPS_BYTES = 2**35
+"""the same for maps that are asked for together"""
 
 
 class ChannelDataset:
@@ -165,13 +168,7 @@ class ChannelDataset:
     def record(self, i: int) -> CityRecord:
         """City ``i`` with all its links at all altitudes, as stored: what `write_dataset` takes."""
         links = np.flatnonzero(self.city_index == i)
-        shape = (len(links), len(self.altitudes_m), *self.grid.shape)
-        gain, traced = np.empty(shape, dtype=np.float16), np.empty(shape, dtype=bool)
-        block = self._links_per_chunk
-        for level in range(len(self.altitudes_m)):
-            for k, link in enumerate(links.tolist()):
-                maps = self._block(link // block, level)
-                gain[k, level], traced[k, level] = (m[link % block] for m in maps)
+        gain, traced = self.maps(links)
         return CityRecord(
             number=self.city_numbers[i],
             split=self.splits[i],
@@ -181,6 +178,27 @@ class ChannelDataset:
             gain_db=gain,
             ray_traced=traced,
         )
+
+    def maps(self, links: NDArray[np.int64]) -> tuple[NDArray[np.float16], NDArray[np.bool_]]:
+        """Gain and whether a ray arrived, each ``[link, altitude, row, col]`` as stored, NaN where
+        an altitude was not computed.
+
+        Raises:
+            InputError: they would take more than 32 GiB, or the file is damaged.
+        """
+        shape = (len(links), len(self.altitudes_m), *self.grid.shape)
+        if 3 * prod(shape) > _MAX_MAPS_BYTES:
+            raise InputError(
+                f"{self.path}: {shape[0]} links of {shape[1:]} values would take "
+                f"{3 * prod(shape) / 2**30:.0f} GiB of memory; build data sets of fewer cities"
+            )
+        gain, traced = np.empty(shape, dtype=np.float16), np.empty(shape, dtype=bool)
+        block = self._links_per_chunk
+        for level in range(len(self.altitudes_m)):
+            for k, link in enumerate(links.tolist()):
+                maps = self._block(link // block, level)
+                gain[k, level], traced[k, level] = (m[link % block] for m in maps)
+        return gain, traced
 
     def to_xarray(self) -> Any:
         """The whole file as a lazy `xarray.Dataset`."""
@@ -357,6 +375,7 @@ def _open_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
                 f"{path}: {name} has shape {array.shape} in chunks of {array.chunks}, too large to "
                 "be read; it is not opened"
             )
+    check_chunks(path, arrays)
     if arrays["gain_db"].chunks != arrays["ray_traced"].chunks:
         raise InputError(
             f"{path}: gain_db and ray_traced must have the same chunks; build the data set anew"

@@ -6,10 +6,8 @@ __all__ = ["ENVIRONMENT_ID", "make", "make_single"]
 
 from typing import Any
 
+from skygain.environments.rewards import ENVIRONMENT_ID
 from skygain.ground.errors import require
-
-ENVIRONMENT_ID = "skygain/ActiveMapping-v0"
-"""name and version; a change of observation, action or reward raises the version"""
 
 
 def make(**options: Any) -> Any:

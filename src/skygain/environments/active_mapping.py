@@ -1,19 +1,16 @@
 """`skygain/ActiveMapping-v0`: the paper's multi-agent decision process (section VI-C) as a
 PettingZoo environment.
 
-=============
-====================================================================================================================
-agents         ``uav_0`` … ``uav_{N−1}``, all acting at the same time, alive until step T action
-``Discrete(4)``: north, east, south, west observation    ``{"observation": Box(5, side, side),
-"action_mask": Box(4)}``; planes mean, standard deviation, heights, all positions,
-               own position, scaled to 0..1 (`skygain.networks.policies.planes`)
-reward         r_e for a cell nobody has visited, at t < T; −r_r ‖μ − x‖₂ over unobstructed cells at
-t = T, the same for all; optionally
-               potential-based shaping (`skygain.environments.rewards`)
-end            terminated at step T; never truncated
-rules          the swarm's: a move that meets an obstacle or another UAV is replaced by a legal one,
-UAVs choosing in their order =============
-====================================================================================================================
+- Agents: ``uav_0`` … ``uav_{N−1}``, all acting at the same time, alive until step T.
+- Action: ``Discrete(4)``: north, east, south, west.
+- Observation: ``{"observation": Box(5, side, side), "action_mask": Box(4)}``; the planes mean,
+  standard deviation, heights, all positions and own position, scaled to 0..1
+  (`skygain.networks.policies.planes`).
+- Reward: r_e for a cell nobody has visited, at t < T; −r_r ‖μ − x‖₂ over unobstructed cells at
+  t = T, the same for all; optionally shaped (`skygain.environments.rewards`).
+- End: terminated at step T; never truncated.
+- Rules: the swarm's. A move that meets an obstacle or another UAV is replaced by a legal one;
+  UAVs choose in their order.
 """
 
 from __future__ import annotations
@@ -27,8 +24,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from skygain.environments import ENVIRONMENT_ID
-from skygain.environments.rewards import RewardConfig
+from skygain.environments.rewards import ENVIRONMENT_ID, RewardConfig
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
 from skygain.environments.worlds import LinkWorlds, Worlds
 from skygain.flight.swarm import FlightRules

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["RewardConfig", "rewards"]
+__all__ = ["ENVIRONMENT_ID", "RewardConfig", "rewards"]
 
 from dataclasses import dataclass
 
@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
+
+ENVIRONMENT_ID = "skygain/ActiveMapping-v0"
+"""name and version; a change of observation, action or reward raises the version"""
 
 
 @dataclass(frozen=True)

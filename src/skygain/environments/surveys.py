@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.environments.rewards import RewardConfig, rewards
-from skygain.environments.worlds import World, Worlds
+from skygain.environments.worlds import Episode, Worlds
 from skygain.flight.airspace import Airspace, resolve_step
 from skygain.flight.swarm import FlightRules, Swarm
 from skygain.ground.errors import InputError
@@ -83,7 +83,7 @@ class Step:
 class _Lane:
     """One survey under way."""
 
-    world: World
+    world: Episode
     swarm: Swarm
     belief: Belief | None
     outdoor: NDArray[np.bool_]
@@ -294,7 +294,7 @@ class SurveyBatch:
             self.rmse_db[k] = np.sqrt(square[lane.outdoor & ~lane.swarm.visited].mean())
 
 
-def _readings(world: World, cells: NDArray[np.int64]) -> Measurements:
+def _readings(world: Episode, cells: NDArray[np.int64]) -> Measurements:
     return Measurements.at(cells, world.truth_db[cells[:, 0], cells[:, 1]].astype(float))
 
 

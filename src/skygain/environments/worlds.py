@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-__all__ = ["LinkWorlds", "World", "Worlds"]
+__all__ = ["LinkWorlds", "Episode", "Worlds"]
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from skygain.city import City
+from skygain.datasets.cases import FREE_SHARE, largest_part
+from skygain.datasets.links import Links, load_links
 from skygain.flight.starts import STARTS, start_cells
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
 
-if TYPE_CHECKING:
-    from skygain.datasets.links import Links
-
-_FREE_SHARE = 0.25
-"""a window whose largest connected flyable part is smaller than this is drawn again"""
 _DRAWS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class Episode:
     """What one episode is played in."""
 
     scenario: Scenario
@@ -46,7 +42,7 @@ class Worlds(Protocol):
     def side(self) -> int:
         """Rows and columns of every world."""
 
-    def draw(self, rng: np.random.Generator, n_uavs: int) -> World:
+    def draw(self, rng: np.random.Generator, n_uavs: int) -> Episode:
         """A world that follows from ``rng`` alone."""
 
 
@@ -79,8 +75,6 @@ class LinkWorlds:
 
     @cached_property
     def _links(self) -> Links:
-        from skygain.datasets.links import load_links
-
         path = (
             str(files("skygain") / "data" / "sample.zarr.zip")
             if self.data == "sample"
@@ -88,7 +82,7 @@ class LinkWorlds:
         )
         return load_links(path, self.split)
 
-    def draw(self, rng: np.random.Generator, n_uavs: int) -> World:
+    def draw(self, rng: np.random.Generator, n_uavs: int) -> Episode:
         """See `Worlds`.
 
         Raises:
@@ -105,18 +99,16 @@ class LinkWorlds:
         grid = Grid((self.side, self.side), self._links.spacing_m)
         for _ in range(_DRAWS):
             view = self._links.draw(rng, self.side, odds, self.augment)
-            labels, count = ndimage.label(view.outdoor)
-            sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-            if not count or sizes.max() < max(n_uavs, _FREE_SHARE * labels.size):
+            part = largest_part(view.outdoor)
+            if part.sum() < max(n_uavs, FREE_SHARE * part.size):
                 continue
             row, col, z = view.transmitter
             city = City(grid, view.height_m)
-            part = labels == 1 + int(np.argmax(sizes))
             try:
                 place = (col * grid.spacing_m, row * grid.spacing_m, z)
                 scenario = Scenario(city, view.altitude_m, view.altitude_m, transmitter_m=place)
                 reachable = Scenario(city, view.altitude_m, view.altitude_m, no_fly=~part)
-                return World(scenario, view.gain_db, start_cells(kind, reachable, n_uavs, rng))
+                return Episode(scenario, view.gain_db, start_cells(kind, reachable, n_uavs, rng))
             # a transmitter in a cell that counts as built up, or no square with room: the next
             # window
             except InputError:

@@ -8,7 +8,6 @@ from __future__ import annotations
 __all__ = ["load_checkpoint", "save_checkpoint"]
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +15,16 @@ import torch
 from torch import Tensor
 
 from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
 
 
 def save_checkpoint(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     """Write ``tensors`` and ``meta`` (JSON) to the single file ``path``, atomically."""
     from safetensors.torch import save_file
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    save_file(
-        {k: v.detach().contiguous() for k, v in tensors.items()},
-        part,
-        metadata={"skygain": json.dumps(meta)},
-    )
-    os.replace(part, path)
+    held = {k: v.detach().contiguous() for k, v in tensors.items()}
+    with atomic_write(path) as part:
+        save_file(held, part, metadata={"skygain": json.dumps(meta)})
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

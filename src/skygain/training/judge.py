@@ -12,18 +12,14 @@ of the candidates near the transmitter plus a share of the root of that.
 
 from __future__ import annotations
 
-__all__ = ["train_judge"]
+__all__ = ["JudgeConfig", "JudgeNetwork", "train_judge"]
 
-import hashlib
 import json
-import os
-import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -31,18 +27,19 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skygain.city import City
-from skygain.datasets.links import Links, View, load_links, read_links, several_paths
+from skygain.datasets.links import Links, View, several_paths
 from skygain.grid import Grid
-from skygain.ground.errors import InputError
-from skygain.ground.executor import process_pool
+from skygain.ground.files import atomic_write
 from skygain.measurements import Measurements
 from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.judge import INPUTS, judge_inputs
-from skygain.networks.weights import runs_folder, weight_file
 from skygain.predictors.networks.operator import OperatorBelief, OperatorPredictor, OperatorSettings
 from skygain.scenario import Scenario
+from skygain.training.compute import threads
+from skygain.training.pools import flown_cities
+from skygain.training.rounds import in_rounds
+from skygain.training.run import Part, Report, Result, Run
 from skygain.training.tasks.locator import survey_cells
-from skygain.training.train import Result
 
 SIDE = 96
 PER_CITY = 4
@@ -52,8 +49,8 @@ COARSE_M = 32.0
 small"""
 PLANNED = 0.3
 """share of surveys on paths as planners fly them"""
-CITIES_AT_ONCE = 4
-"""per task of a worker"""
+MOMENTS = 3
+"""of each survey that are looked at"""
 READINGS_AT_ONCE = 24
 """per update of the belief"""
 NEAR_M = 8.0
@@ -64,12 +61,44 @@ ERROR_SHARE = 0.4
 """of the root mean squared error in the loss, per dB"""
 
 
-class _Network(nn.Module):
-    """`candidate_judge.CandidateJudge` with gradients."""
+@dataclass(frozen=True)
+class JudgeConfig:
+    """One run; flying takes an hour or more, training minutes."""
+
+    data: str | tuple[str, ...] = "sample"
+    """path of the data set, or of several; T3 trains, T2 gives the scores"""
+    out: str = ""
+    """folder of the run; an existing checkpoint is continued"""
+    rounds: int = 30
+    """passes over all surveys"""
+    hidden: int = 64
+    """width of the two hidden layers"""
+    weight_decay: float = 0.1
+    """decoupled weight decay"""
+    operator: str = "operator"
+    """name or file of the operator's weights"""
+    locator: str = "locator"
+    """name or file of the locator's weights"""
+    pool: str = ""
+    """folder of the flown surveys; by default beside the runs"""
+    workers: int = 1
+    """processes that fly"""
+    seed: int = 0
+    """of weights and order"""
+    max_seconds: float = math.inf
+    """stop training after so long; the run continues with the next call"""
+
+
+class JudgeNetwork(nn.Module):
+    """`skygain.networks.operator.judge.CandidateJudge` with gradients."""
+
+    centre: Tensor
+    scale: Tensor
 
     def __init__(self, inputs: Tensor, hidden: int) -> None:
         super().__init__()
-        self.centre, self.scale = inputs.mean(0), inputs.std(0) + 1e-3
+        self.register_buffer("centre", inputs.mean(0))
+        self.register_buffer("scale", inputs.std(0) + 1e-3)
         self.linear = nn.Linear(INPUTS, 1, bias=False)
         self.hidden = nn.Sequential(
             nn.Linear(INPUTS, hidden),
@@ -105,81 +134,55 @@ class _Sample:
     """``[candidate, candidate]`` dB²"""
 
 
-def train_judge(
-    data: str | Path | Sequence[str | Path],
-    out: str | Path,
-    *,
-    rounds: int = 30,
-    hidden: int = 64,
-    weight_decay: float = 0.1,
-    seed: int = 0,
-    workers: int = 1,
-    operator: str | Path = "operator",
-    locator: str | Path = "locator",
-    pool: str | Path = "",
-    report: Callable[[dict[str, Any]], None] = lambda record: None,
-) -> Result:
-    """Fly T3 for training and T2 for the scores (once, into ``pool``), train, and write the weight
-    file ``out``.
+def train_judge(config: JudgeConfig, report: Report = lambda record: None) -> Result:
+    """Fly T3 for training and T2 for the scores (once, into the pool), train, and write the weight
+    file ``judge.safetensors`` into the run's folder.
 
-    Flying takes a few seconds a city, by ``workers`` processes; a flown city is not flown again for
-    the same operator and locator.
+    Flying takes a few seconds a city; a flown city is not flown again for the same operator and
+    locator.
 
     Raises:
         InputError: no such data set, or it lacks one of the two splits.
     """
-    begun = time.monotonic()
-    predictor = OperatorPredictor(
-        weights=operator, locator=locator, judge="", settings=OperatorSettings(coarse_m=COARSE_M)
-    )
-    parts = {
-        split: _flown(data, split, predictor, Path(pool) if str(pool) else None, workers, report)
-        for split in ("T3", "T2")
-    }
-    training, held_out = parts["T3"], parts["T2"]
-    torch.manual_seed(seed)
-    rng, network = (
-        np.random.default_rng(seed),
-        _Network(torch.cat([s.inputs for s in training]), hidden),
-    )
-    optimiser = torch.optim.AdamW(network.parameters(), 3e-3, weight_decay=weight_decay)
+    training, held_out = (_flown(config, split, report) for split in ("T3", "T2"))
+    torch.manual_seed(config.seed)
+    rng = np.random.default_rng(config.seed)
+    network = JudgeNetwork(torch.cat([s.inputs for s in training]), config.hidden)
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
+    parts: dict[str, Part] = {"network": network, "optimiser": optimiser, "order": rng}
+    run = Run(config.out, config, parts, report)
     per_round = -(-len(training) // BATCH)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 9e-3, total_steps=rounds * per_round)
-    for k in range(rounds):
-        order, losses = rng.permutation(len(training)), []
-        for some in np.array_split(order, per_round):
-            loss = torch.stack(
-                [_loss(network(training[i].inputs), training[i]) for i in some]
-            ).mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            losses.append(float(loss.detach()))
-        report(
-            {"round": k + 1, "loss": round(float(np.mean(losses)), 4), **_scores(network, held_out)}
-        )
-    scores = _scores(network, held_out)
+
+    def losses() -> Iterator[Tensor]:
+        for some in np.array_split(rng.permutation(len(training)), per_round):
+            found = [_loss(network(training[i].inputs), training[i]) for i in some]
+            yield torch.stack(found).mean()
+
+    in_rounds(
+        run,
+        optimiser,
+        losses,
+        rounds=config.rounds,
+        per_round=per_round,
+        peak=9e-3,
+        scores=lambda: _scores(network, held_out),
+    )
+    names = " + ".join(path.name for path in several_paths(config.data))
     card = {
         "name": "judge",
-        "what": (
-            "judge of candidate positions: how their maps agree with the readings -> probability"
-        ),
-        "data": " + ".join(path.name for path in several_paths(data)) + ", split T3; scores on T2",
-        "surveys": len(training) // 3,
-        "rounds": rounds,
-        "hidden": hidden,
-        "weight_decay": weight_decay,
-        "seed": seed,
-        "scores": scores,
+        "what": "candidate positions: how their maps agree with the readings -> probability",
+        "data": f"{names}, split T3; scores on T2",
+        "surveys": len(training) // MOMENTS,
+        "rounds": run.step,
+        **{key: getattr(config, key) for key in ("hidden", "weight_decay", "seed")},
+        "scores": run.scores,
         "recipe": "judge",
     }
-    path = Path(out)
-    save_checkpoint(path, network.tensors(), card)
-    path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
-    return Result(
-        rounds * per_round, rounds * len(training), time.monotonic() - begun, scores, path
-    )
+    weights = run.folder / "judge.safetensors"
+    save_checkpoint(weights, network.tensors(), card)
+    with atomic_write(weights.with_suffix(".json")) as file:
+        file.write_text(json.dumps(card, indent=2) + "\n")
+    return run.result(run.step * len(training))
 
 
 def _loss(log_probability: Tensor, sample: _Sample) -> Tensor:
@@ -188,7 +191,7 @@ def _loss(log_probability: Tensor, sample: _Sample) -> Tensor:
     return entropy + ERROR_SHARE * torch.sqrt(probability @ sample.gram @ probability + 0.1)
 
 
-def _scores(network: _Network, samples: list[_Sample]) -> dict[str, float]:
+def _scores(network: JudgeNetwork, samples: list[_Sample]) -> dict[str, float]:
     with torch.inference_mode():
         answers = [network(s.inputs) for s in samples]
     entropy = [
@@ -206,88 +209,40 @@ def _scores(network: _Network, samples: list[_Sample]) -> dict[str, float]:
     }
 
 
-def _flown(
-    data: str | Path | Sequence[str | Path],
-    split: str,
-    predictor: OperatorPredictor,
-    pool: Path | None,
-    workers: int,
-    report: Callable[[dict[str, Any]], None],
-) -> list[_Sample]:
+def _flown(config: JudgeConfig, split: str, report: Report) -> list[_Sample]:
     """The surveys of ``split``, flown as far as that has not been done with these weights."""
-    sources, flights = (
-        (predictor.weights, predictor.paths, predictor.locator),
-        (PER_CITY, PLANNED, SIDE),
+    predictor = OperatorPredictor(
+        weights=config.operator,
+        locator=config.locator,
+        judge="",
+        settings=OperatorSettings(coarse_m=COARSE_M),
     )
-    state = hashlib.sha256(
-        b"".join(
-            [
-                *(weight_file(name).read_bytes() for name in sources),
-                repr((predictor.settings, flights)).encode(),
-            ]
-        )
-    ).hexdigest()[:12]
-    files: list[Path] = []
-    for path in several_paths(data):
-        links = read_links(path, split)
-        if links is None:
-            continue  # another data set may have some
-        cities = len(links.height_m)
-        folder = (pool or runs_folder() / "judge-pool") / f"{path.name}-{state}" / split
-        folder.mkdir(parents=True, exist_ok=True)
-        here = [folder / f"{city:04d}.npz" for city in range(cities)]
-        missing = [city for city, file in enumerate(here) if not file.exists()]
-        done = 0
-
-        def flown(some: int) -> None:
-            nonlocal done
-            done += some
-            report({"pool": path.name, "split": split, "city": done, "of": len(missing)})  # noqa: B023 - called within the iteration
-
-        if workers > 1 and len(missing) > 1:
-            parts = [
-                missing[k : k + CITIES_AT_ONCE] for k in range(0, len(missing), CITIES_AT_ONCE)
-            ]
-            with process_pool(workers) as processes:
-                jobs = [
-                    processes.submit(_fly_some, path, split, predictor, part, here)
-                    for part in parts
-                ]
-                for job in as_completed(jobs):
-                    flown(job.result())
-        else:
-            for city in missing:
-                flown(_fly_some(path, split, predictor, [city], here))
-        files += here
-    if not files:
-        raise InputError(
-            f"{', '.join(map(str, several_paths(data)))} holds no link of split {split!r}, which "
-            "the judge needs"
-        )
+    files = flown_cities(
+        "judge-pool",
+        config.data,
+        split,
+        partial(_fly_city, predictor),
+        weights=(predictor.weights, predictor.paths, predictor.locator),
+        settings=(predictor.settings, (PER_CITY, PLANNED, SIDE)),
+        # a stream of its own for every data set, so that two with the same cities fly different
+        # surveys
+        stream=lambda path, city: [
+            int.from_bytes(path.name.encode()[:8], "little"),
+            ord(split[1]),
+            city,
+        ],
+        pool=config.pool,
+        workers=config.workers,
+        report=report,
+    )
     return [sample for file in files for sample in _read(file)]
 
 
-_held = lru_cache(maxsize=1)(load_links)  # a worker is given a few cities at a time
-
-
-def _fly_some(
-    data: Path, split: str, predictor: OperatorPredictor, cities: list[int], files: list[Path]
-) -> int:
-    links, threads = _held(data, split), torch.get_num_threads()
-    torch.set_num_threads(
-        1
-    )  # the networks are small; several threads would only wait for each other
-    try:
-        for city in cities:
-            # A stream of its own for every data set, so that two with the same cities fly different
-            # surveys.
-            stream = [int.from_bytes(data.name.encode()[:8], "little"), ord(split[1]), city]
-            _write(
-                files[city], _city_samples(links, city, predictor, np.random.default_rng(stream))
-            )
-    finally:
-        torch.set_num_threads(threads)
-    return len(cities)
+def _fly_city(
+    predictor: OperatorPredictor, links: Links, city: int, rng: np.random.Generator, file: Path
+) -> None:
+    with threads(1):  # the networks are small
+        _write(file, _city_samples(links, city, predictor, rng))
 
 
 def _city_samples(
@@ -356,16 +311,14 @@ def _sample(belief: OperatorBelief, view: View, unvisited: NDArray[np.bool_]) ->
 
 
 def _write(file: Path, samples: list[_Sample]) -> None:
-    part = file.with_suffix(".part")
     arrays = {
         f"{key}{k}": getattr(s, key).numpy()
         for k, s in enumerate(samples)
         for key in ("inputs", "target")
     }
     arrays |= {f"gram{k}": s.gram.numpy().astype(np.float16) for k, s in enumerate(samples)}
-    with part.open("wb") as out:
+    with atomic_write(file) as part, part.open("wb") as out:
         np.savez(out, **arrays)
-    os.replace(part, file)
 
 
 def _read(file: Path) -> list[_Sample]:

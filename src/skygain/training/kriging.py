@@ -14,12 +14,13 @@ For each trend and each altitude, over all links of a split:
 
 from __future__ import annotations
 
-__all__ = ["KrigingTraining", "train_kriging"]
+__all__ = ["KrigingConfig", "train_kriging"]
 
 import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +31,20 @@ from scipy.optimize import minimize
 from skygain.datasets.crops import random_crop
 from skygain.datasets.link import Link
 from skygain.datasets.store import ChannelDataset
+from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
+from skygain.ground.strict_json import plain
 from skygain.predictors.kriging.parameters import TRENDS, KrigingParameters, trend_columns
 from skygain.predictors.kriging.survey_fit import likelihood_loss, map_estimate
+from skygain.training.run import Report, Run
 from skygain.training.trajectories import random_waypoints, scattered_cells
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class KrigingTraining:
-    """How to train."""
+class KrigingConfig:
+    """One fit."""
 
     split: str = "T1"
     """split whose links are used"""
@@ -65,7 +69,7 @@ class _Sample:
     distance_m: Array
 
 
-def _cells(link: Link, config: KrigingTraining, rng: np.random.Generator) -> NDArray[np.int64]:
+def _cells(link: Link, config: KrigingConfig, rng: np.random.Generator) -> NDArray[np.int64]:
     """Raveled cells of random flights and scattered ones, distinct."""
     lengths = np.full(3, config.flight_cells // 3 + rng.integers(1, config.flight_cells))
     flown = random_waypoints(link.outdoor, lengths, rng).transpose(1, 0, 2).reshape(-1, 2)
@@ -137,19 +141,22 @@ def _covariance(
 
 
 def _trained(
-    samples: list[_Sample], theta: Array, config: KrigingTraining, progress: Progress
+    samples: list[_Sample], theta: Array, rounds: int, report: Callable[..., None]
 ) -> dict[str, Any]:
     """Parameters of one trend at one altitude."""
     logs = np.log([400.0, 60.0, 3.0])
     sigma = np.diag(np.full(len(theta), 100.0))
     loss = np.nan
-    for turn in range(config.rounds):
+    for turn in range(rounds):
         logs, loss = _covariance(samples, theta, logs, sigma)
         sigma = _trend_spread(samples, theta, logs, sigma)
-        phi, delta, nu = np.exp(logs)
-        progress(
-            f"  round {turn + 1}/{config.rounds}: φ {phi:.1f} dB², δ {delta:.1f} m, ν {nu:.2f} "
-            f"dB², loss {loss:.4f} per cell"
+        sill, range_, nugget = np.exp(logs)
+        report(
+            round=turn + 1,
+            sill_db2=round(sill, 1),
+            range_m=round(range_, 1),
+            nugget_db2=round(nugget, 2),
+            loss=round(loss, 4),
         )
     rows = tuple(tuple(row) for row in sigma.tolist())
     phi, delta, nu = np.exp(logs).tolist()
@@ -159,7 +166,6 @@ def _trained(
         _, fit = map_estimate(common, s.distance_m, s.gain_db, np.zeros(len(s.gain_db)), s.columns)
         own.append(np.log([fit.sill_db2, fit.range_m, fit.nugget_db2]))
     spread = np.std(own, axis=0)
-    progress(f"  spread of log φ, δ, ν among links: {np.round(spread, 2).tolist()}")
     return {
         "trend": _rounded(theta),
         "trend_covariance": _rounded(sigma),
@@ -180,54 +186,79 @@ def _rounded(values: Any) -> Any:
 def train_kriging(
     dataset_path: str | os.PathLike[str],
     out: str | os.PathLike[str],
-    config: KrigingTraining = KrigingTraining(),
-    progress: Progress = print,
+    config: KrigingConfig = KrigingConfig(),
+    report: Report = lambda record: None,
 ) -> dict[str, Any]:
     """Train on a data set and write the parameters to ``out`` as JSON, in the form of the ones that
     ship with Skygain.
+
+    What is done stands in the folder ``out`` + ``.run``, so that a fit that was stopped goes on.
 
     Raises:
         InputError: the file is no data set or lacks the split.
     """
     dataset = ChannelDataset.open(dataset_path)
-    table: dict[str, dict[str, Any]] = {trend: {} for trend in TRENDS}
+    data = Path(dataset_path).name
+    of = {"data": data, **plain(config)}
+    run = Run(f"{out}.run", config, {}, report, of=of, trends={trend: {} for trend in TRENDS})
+    if run.state["of"] != of:
+        raise InputError(
+            f"{run.folder} holds a fit to other data or with other settings; remove it, or choose "
+            "another file as out"
+        )
+    table = run.state["trends"]
     for altitude in dataset.altitudes_m:
-        indices = dataset.links(config.split, altitude)
-        if not indices:
-            continue
-        links = []
-        for index in indices:
-            rng = np.random.default_rng([config.seed, index])
-            link = random_crop(
-                dataset.link(index, altitude), rng, (config.crop, config.crop), augment=True
+        at = f"{altitude:g}"
+        missing = [trend for trend in TRENDS if at not in table[trend]]
+        links = _links(dataset, altitude, config) if missing else []
+        for trend in missing if links else []:
+            samples, theta = _samples(links, trend, altitude)
+            table[trend][at] = _trained(
+                samples, theta, config.rounds, partial(run.record, trend=trend, altitude_m=altitude)
             )
-            links.append((link, _cells(link, config, rng)))
-        for trend in TRENDS:
-            progress(f"{trend} at {altitude:g} m, {len(links)} links of {config.split}")
-            samples, columns, gains = [], [], []
-            for link, cells in links:
-                grid = link.city.grid
-                h = trend_columns(trend, grid, altitude, link.transmitter_m)
-                y = link.truth_db.ravel().astype(float)
-                outdoor = link.outdoor.ravel()
-                columns.append(h[outdoor])
-                gains.append(y[outdoor])
-                xy = grid.xy_m(grid.cells[cells])
-                samples.append(
-                    _Sample(y[cells], h[cells], np.linalg.norm(xy[:, None] - xy[None], axis=-1))
-                )
-            theta = _least_squares(columns, gains)
-            progress(f"  θ₀ = {np.round(theta, 2).tolist()}")
-            table[trend][f"{altitude:g}"] = _trained(samples, theta, config, progress)
+            run.step += 1
+            run.save()
     result = {
         "trained_on": {
-            "data": Path(dataset_path).name,
+            "data": data,
             "split": config.split,
             "frequency_hz": dataset.frequency_hz,
         },
         "config": asdict(config),
         "trends": table,
     }
-    path = Path(out)
-    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    with atomic_write(out) as file:
+        file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
+
+
+def _links(
+    dataset: ChannelDataset, altitude: float, config: KrigingConfig
+) -> list[tuple[Link, NDArray[np.int64]]]:
+    """A random crop of every link, and the raveled cells that the likelihood sees."""
+    links = []
+    for index in dataset.links(config.split, altitude):
+        rng = np.random.default_rng([config.seed, index])
+        link = random_crop(
+            dataset.link(index, altitude), rng, (config.crop, config.crop), augment=True
+        )
+        links.append((link, _cells(link, config, rng)))
+    return links
+
+
+def _samples(
+    links: list[tuple[Link, NDArray[np.int64]]], trend: str, altitude: float
+) -> tuple[list[_Sample], Array]:
+    """What the likelihood sees of every link, and θ₀."""
+    samples, columns, gains = [], [], []
+    for link, cells in links:
+        grid = link.city.grid
+        h = trend_columns(trend, grid, altitude, link.transmitter_m)
+        y = link.truth_db.ravel().astype(float)
+        outdoor = link.outdoor.ravel()
+        columns.append(h[outdoor])
+        gains.append(y[outdoor])
+        xy = grid.xy_m(grid.cells[cells])
+        distance_m = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
+        samples.append(_Sample(y[cells], h[cells], distance_m))
+    return samples, _least_squares(columns, gains)

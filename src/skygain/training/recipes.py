@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-__all__ = ["RECIPES", "recipe", "train_predictor"]
+__all__ = ["RECIPES", "settled", "train_predictor"]
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from skygain.datasets.links import several_paths
+from skygain.datasets.links import Paths, several_paths
 from skygain.ground.errors import InputError
 from skygain.networks.weights import export_weights, runs_folder
-from skygain.training.judge import train_judge
-from skygain.training.path_model import train_path_model
+from skygain.training.judge import JudgeConfig, train_judge
+from skygain.training.path_model import PathModelConfig, train_path_model
+from skygain.training.run import Report, Result
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.locator import LocatorTask
 from skygain.training.tasks.unets import DirectTask, PaperTask
-from skygain.training.train import Result, TrainConfig, train
+from skygain.training.train import TrainConfig, train
+
+Config = TypeVar("Config")
 
 OURS = TrainConfig(task=OperatorTask(), data="", out="", batch_size=16, hold_steps=8000)
 PAPER = TrainConfig(
@@ -50,10 +53,12 @@ LOCATOR = TrainConfig(
 PAPER_BITS = 4
 """of the dense layers' weights when a paper U-Net is exported"""
 
-RECIPES: dict[str, TrainConfig] = {
+RECIPES: dict[str, TrainConfig | PathModelConfig | JudgeConfig] = {
     "operator": OURS,
     "operator-no-profile": replace(OURS, task=OperatorTask(profile=False)),
+    "path-model": PathModelConfig(),
     "locator": LOCATOR,
+    "judge": JudgeConfig(),
     "unet": replace(OURS, task=DirectTask()),
     "paper-unet": PAPER,
     "paper-unet-mapblind": replace(PAPER, task=PaperTask(blind=True)),
@@ -64,57 +69,60 @@ RECIPES: dict[str, TrainConfig] = {
 """Complete settings but for the paths."""
 
 
-SMALL: dict[str, Callable[..., Result]] = {"path-model": train_path_model, "judge": train_judge}
-"""Perceptrons with a trainer of their own."""
-
-
-def recipe(name: str) -> TrainConfig:
-    """The settings called ``name``.
-
-    Raises:
-        InputError: no recipe has that name; the message lists those that exist.
-    """
-    if name not in RECIPES:
-        raise InputError(f"unknown recipe {name!r}; known: {', '.join(sorted([*RECIPES, *SMALL]))}")
-    return RECIPES[name]
-
-
 def train_predictor(
     name: str,
-    data: str | Path | Sequence[str | Path],
+    data: Paths,
     out: str | Path | None = None,
     *,
-    report: Callable[[dict[str, Any]], None] = lambda record: None,
+    report: Report = lambda record: None,
     **changes: Any,
 ) -> Result:
     """Train by recipe ``name`` on the data set ``data`` (or several together) in folder ``out``,
     continuing what is there.
 
-    ``changes`` override the recipe. The averaged weights end up as ``out/<name>.safetensors`` with
-    a card in JSON beside them. Without ``out`` the run lives in `runs_folder`, where the predictor
-    of that name finds its weights.
+    ``changes`` override the recipe. The weights end up as ``out/<name>.safetensors``, with their
+    card in the header. Without ``out`` the run lives in `runs_folder`, where the predictor of that
+    name finds its weights.
 
     Raises:
-        InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
+        InputError: unknown recipe or setting, no such data set, or a checkpoint in ``out`` that is
+            not one.
     """
     several = several_paths(data)
-    folder = Path(out) if out is not None else runs_folder() / name
-    weights = folder / f"{name}.safetensors"
-    if name in SMALL:
-        if unknown := [
-            key for key in changes if key in ("max_seconds", "finish_steps", "start_from")
-        ]:
-            raise InputError(
-                f"{name} trains in minutes and has no option {unknown[0]!r}; leave it out"
-            )
-        return SMALL[name](several, weights, report=report, **changes)
-    result = train(
-        replace(recipe(name), data=tuple(map(str, several)), out=str(folder), **changes), report
-    )
+    config = settled("recipe", RECIPES, name, out, data=tuple(map(str, several)), **changes)
+    if isinstance(config, PathModelConfig):
+        return train_path_model(config, report)
+    if isinstance(config, JudgeConfig):
+        return train_judge(config, report)
+    result = train(config, report)
     bits = PAPER_BITS if name.startswith("paper-unet") else 0
-    precision = f"float16, the dense layers {bits} bits" if bits else "float16"
-    made_of = " + ".join(path.name for path in several)
-    export_weights(
-        result.checkpoint, weights, {"name": name, "data": made_of, "precision": precision}, bits
-    )
+    card = {
+        "name": name,
+        "data": " + ".join(path.name for path in several),
+        "precision": f"float16, the dense layers {bits} bits" if bits else "float16",
+    }
+    export_weights(result.checkpoint, Path(config.out) / f"{name}.safetensors", card, bits)
     return result
+
+
+def settled(
+    kind: str,
+    recipes: Mapping[str, Config],
+    name: str,
+    out: str | Path | None,
+    **changes: Any,
+) -> Config:
+    """The settings called ``name`` with ``changes``, run in ``out`` or, if that is ``None``, under
+    its name in `runs_folder`.
+
+    Raises:
+        InputError: no recipe has that name, or the recipe no such setting; the message lists those
+            that exist.
+    """
+    if name not in recipes:
+        raise InputError(f"unknown {kind} {name!r}; known: {', '.join(sorted(recipes))}")
+    known = {f.name for f in fields(recipes[name])}  # type: ignore[arg-type]
+    if unknown := sorted(changes.keys() - known):
+        raise InputError(f"the recipe {name!r} has no setting {unknown[0]!r}; leave it out")
+    folder = runs_folder() / name if out is None else Path(out)
+    return replace(recipes[name], out=str(folder), **changes)  # type: ignore[type-var]

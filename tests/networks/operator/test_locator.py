@@ -1,14 +1,11 @@
 """Evidence about the transmitter, and the network that weighs it."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 
-from skygain.datasets.links import Links
-from skygain.ground.errors import InputError
 from skygain.networks.operator.evidence import (
     CHANNELS,
     EvidenceSums,
@@ -17,7 +14,6 @@ from skygain.networks.operator.evidence import (
 )
 from skygain.networks.operator.locator import LocatorNet
 from skygain.networks.operator.path_model import USED, PathModel
-from skygain.training.tasks.locator import LocatorTask
 
 
 @pytest.fixture(scope="module")
@@ -110,58 +106,3 @@ def test_an_untrained_network_gives_the_tempered_likelihood(model, heights, rng)
     open_ = maps[CHANNELS.index("open")] > 0
     difference = log_probability[open_] - 5.0 * maps[CHANNELS.index("tempered/thinned")][open_]
     assert np.ptp(difference) < 1e-3
-
-
-def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(
-    tmp_path, monkeypatch, model, rng
-):
-    height = np.zeros((2, 40, 40), dtype=np.float32)
-    height[:, 10:20, 12:25] = 25.0
-    links = Links(
-        height,
-        np.array([0, 0, 1]),
-        np.array([[30.0, 8.0, 1.5], [4.0, 30.0, 1.5], [5.0, 5.0, 1.5]]),
-        rng.uniform(-120, -80, (3, 3, 40, 40)).astype(np.float16),
-        np.ones((3, 3, 40, 40), bool),
-        np.array([10.0, 20.0, 30.0]),
-        np.ones((3, 3), bool),
-        4.0,
-    )
-    monkeypatch.setattr("skygain.training.tasks.locator.read_links", lambda data, split: links)
-    monkeypatch.setattr(PathModel, "load", classmethod(lambda cls, path: model))
-    paths = tmp_path / "paths.safetensors"
-    paths.write_bytes(b"stands for the model's file")
-    task, said = LocatorTask(side=32, flights=2, pool=str(tmp_path), paths=str(paths)), []
-    pool = task.load("cities.zarr.zip", "T1", said.append)
-    assert len(pool) == 3 * 2 * len(links)
-    assert said == [{"pool": "cities.zarr.zip", "split": "T1", "city": k, "of": 2} for k in (1, 2)]
-    task.load("cities.zarr.zip", "T1", said.append)
-    assert len(said) == 2
-    with pytest.raises(InputError, match="no map at an altitude wanted"):
-        replace(task, altitude_odds=(0.0, 0.0, 0.0)).load("cities.zarr.zip", "T1", said.append)
-    with pytest.raises(InputError, match="40 × 40 cells; training needs windows of 96 × 96"):
-        replace(task, side=96).load("cities.zarr.zip", "T1", said.append)
-    paths.write_bytes(b"another model's")
-    task.load("cities.zarr.zip", "T1", said.append)
-    assert len(said) == 4
-    places = np.array([pool.sample(k, 0)[1].sum(axis=1) for k in range(len(pool))])
-    assert len(np.unique(places.argmax(axis=1))) > 1
-    twice = task.load(["cities.zarr.zip", "cities.zarr.zip"], "T1", said.append)
-    assert len(twice) == 2 * len(pool)
-    assert np.array_equal(twice.sample(len(pool) + 3, 0)[0], pool.sample(3, 0)[0])
-    for symmetry in range(8):
-        maps, target = pool.sample(5, symmetry)
-        assert np.isclose(target.sum(), 1, atol=1e-5)
-        assert (target[maps[CHANNELS.index("open")] == 0] == 0).all()
-        back = target.T if symmetry & 4 else target
-        back = back[:, ::-1] if symmetry & 2 else back
-        back = back[::-1] if symmetry & 1 else back
-        assert np.allclose(back, pool.sample(5, 0)[1], atol=1e-6)
-    batch = task.batch(pool, 4, np.random.default_rng(0))
-    network = task.network()
-    assert torch.isfinite(task.loss(network, batch))
-    assert set(task.scores(network, [batch], torch.no_grad)) == {
-        "cross_entropy",
-        "log_near",
-        "distance_m",
-    }

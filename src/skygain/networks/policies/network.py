@@ -6,7 +6,7 @@ Q-learning, or with a single atom of the choice of a move for imitation.
 
 from __future__ import annotations
 
-__all__ = ["NETWORKS", "CentredNetwork", "PaperQNetwork", "policy_network"]
+__all__ = ["POLICY_NETWORKS", "CentredNetwork", "PaperQNetwork", "policy_network"]
 
 from collections.abc import Iterator
 from typing import Any, ClassVar
@@ -158,12 +158,12 @@ def _tower(channels: int) -> nn.Sequential:
     )
 
 
-NETWORKS = {"paper": PaperQNetwork, "centred": CentredNetwork}
+POLICY_NETWORKS = {"paper": PaperQNetwork, "centred": CentredNetwork}
 """by the name that stands in a run's settings and in a weight file's card"""
 
 
 def policy_network(shape: dict[str, Any]) -> nn.Module:
     """The network that ``shape`` (keys network, atoms, side, dueling) describes, weights from
     PyTorch's global generator."""
-    network = NETWORKS[shape["network"]](shape["atoms"], shape["side"], shape["dueling"])
+    network = POLICY_NETWORKS[shape["network"]](shape["atoms"], shape["side"], shape["dueling"])
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

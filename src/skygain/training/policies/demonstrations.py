@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.environments.worlds import LinkWorlds, World
+from skygain.environments.worlds import Episode, LinkWorlds
 from skygain.flight.swarm import Swarm
+from skygain.ground.files import atomic_write
 from skygain.measurements import Measurements
 from skygain.networks.policies.inputs import Seen, last_moves, moves_of
 from skygain.networks.policies.planes import packed_height, packed_mean, packed_std
@@ -80,10 +81,8 @@ class Demonstrations:
 
     def save(self, path: Path) -> None:
         """Write to ``path`` (.npz), atomically."""
-        part = path.with_suffix(".part")
-        with part.open("wb") as file:
+        with atomic_write(path) as part, part.open("wb") as file:
             np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
-        part.rename(path)
 
     @classmethod
     def load(cls, paths: list[Path]) -> Demonstrations:
@@ -164,13 +163,13 @@ def fly_demonstration(
 
 
 def _flown(
-    world: World, swarm: Swarm, belief: Belief, cells: NDArray[np.int64]
+    world: Episode, swarm: Swarm, belief: Belief, cells: NDArray[np.int64]
 ) -> tuple[Swarm, Belief]:
     moved = (cells != swarm.cells).any(axis=1)
     return swarm.advanced(cells), belief.updated(_readings(world, cells[moved]))
 
 
-def _readings(world: World, cells: NDArray[np.int64]) -> Measurements:
+def _readings(world: Episode, cells: NDArray[np.int64]) -> Measurements:
     return Measurements.at(cells, world.truth_db[cells[:, 0], cells[:, 1]].astype(float))
 
 

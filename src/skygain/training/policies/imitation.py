@@ -11,15 +11,12 @@ training from one checkpoint to the next draws batch k of round r from the strea
 
 from __future__ import annotations
 
-__all__ = ["ImitationConfig", "ImitationResult", "expert_loss", "train_imitation"]
+__all__ = ["ImitationConfig", "expert_loss", "train_imitation"]
 
-import json
-import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -28,18 +25,18 @@ from torch.nn import functional as F  # noqa: N812
 
 from skygain.environments.worlds import LinkWorlds
 from skygain.ground.executor import process_pool
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
 from skygain.networks.policies.inputs import SYMMETRIES, turned_moves
 from skygain.networks.policies.network import policy_network
 from skygain.networks.policies.planes import action_masks
 from skygain.networks.policies.weights import export_policy
 from skygain.planners.learned import PolicyPlanner
+from skygain.training.compute import threads
 from skygain.training.policies.demonstrations import (
     DemonstrationConfig,
     Demonstrations,
     fly_demonstration,
 )
-from skygain.training.run import optimiser_tensors, restore_optimiser, under
+from skygain.training.run import Part, Report, Result, Run, set_rate
 
 SHAPE = {"network": "centred", "atoms": 1, "side": 0, "dueling": False}
 
@@ -87,108 +84,65 @@ class ImitationConfig:
     """updates between checkpoints and lines of the log"""
 
 
-@dataclass(frozen=True)
-class ImitationResult:
-    """Where a run stands."""
-
-    round: int
-    """rounds finished"""
-    step: int
-    """updates in all"""
-    seconds: float
-    """training and flying, over every call"""
-    scores: dict[str, float]
-    """cross entropy and share of the expert's moves that the policy makes, on held-out surveys"""
-    checkpoint: Path
-    """file with everything"""
-
-
-def train_imitation(
-    config: ImitationConfig, report: Callable[[dict[str, Any]], None] = lambda record: None
-) -> ImitationResult:
+def train_imitation(config: ImitationConfig, report: Report = lambda record: None) -> Result:
     """Watch and learn until all rounds are done or ``max_seconds`` have passed."""
-    folder = Path(config.out)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "checkpoint.safetensors"
     torch.manual_seed(config.seed)
     network = policy_network(SHAPE)
-    optimiser = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
-    round_, step, total, seconds, scores = 0, 0, 0, 0.0, {}
-    if path.exists():
-        tensors, meta = load_checkpoint(path)
-        round_, step, total, seconds, scores = (
-            meta[k] for k in ("round", "step_in_round", "step", "seconds", "scores")
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
+    parts: dict[str, Part] = {"network": network, "optimiser": optimiser}
+    run = Run(config.out, config, parts, report, round=0, step_in_round=0)
+    with threads(1):  # the network is small
+        while run.state["round"] < len(config.surveys) and not run.over:
+            if not _fly_round(config, run) or not _train_round(config, run, network, optimiser):
+                break
+            card = {
+                "name": f"imitation, round {run.state['round']}",
+                "policy": SHAPE,
+                "scores": run.scores,
+            }
+            export_policy(network.state_dict(), _policy(run, run.state["round"]), card)
+            run.state = {"round": run.state["round"] + 1, "step_in_round": 0}
+            run.save()
+    return run.result(run.step * config.batch_size)
+
+
+def _policy(run: Run, round_: int) -> Path:
+    """The weight file of the policy after ``round_``."""
+    return run.folder / f"policy-{round_}.safetensors"
+
+
+def _train_round(
+    config: ImitationConfig, run: Run, network: nn.Module, optimiser: torch.optim.Optimizer
+) -> bool:
+    """Make the updates that a round lacks; whether all of them were made."""
+    round_ = run.state["round"]
+    files = [sorted((run.folder / "demonstrations").glob(f"{r}-*.npz")) for r in range(round_ + 1)]
+    trained = Demonstrations.load([f for part in files for f in part[config.held_out :]])
+    held_out = Demonstrations.load([f for part in files for f in part[: config.held_out]])
+    network.train()
+    losses, steps = [], config.updates[round_]
+    while (step := run.state["step_in_round"]) < steps:
+        if run.over:
+            run.save()
+            return False
+        set_rate(optimiser, config.learning_rate * 0.5 * (1 + np.cos(np.pi * step / steps)))
+        rng = np.random.default_rng([config.seed, round_, step])
+        loss, _ = expert_loss(
+            network, trained, rng, config.batch_size, int(rng.integers(SYMMETRIES))
         )
-        network.load_state_dict(under("network.", tensors))
-        restore_optimiser(optimiser, under("optimiser.", tensors))
-    (folder / "config.json").write_text(json.dumps(asdict(config), indent=2, default=str))
-    begun, earlier, threads = time.monotonic(), seconds, torch.get_num_threads()
-    torch.set_num_threads(1)  # the network is so small that threads would only wait for each other
-
-    def spent() -> float:
-        return earlier + time.monotonic() - begun
-
-    def save() -> None:
-        tensors = {f"network.{k}": v for k, v in network.state_dict().items()}
-        tensors |= {f"optimiser.{k}": v for k, v in optimiser_tensors(optimiser).items()}
-        meta = {
-            "round": round_,
-            "step_in_round": step,
-            "step": total,
-            "seconds": spent(),
-            "scores": scores,
-        }
-        save_checkpoint(
-            path, tensors, {**meta, "config": json.loads(json.dumps(asdict(config), default=str))}
-        )
-
-    def say(**values: Any) -> None:
-        line = {"round": round_, "step": total, "seconds": round(spent(), 1), **values}
-        with (folder / "log.jsonl").open("a") as log:
-            log.write(json.dumps(line) + "\n")
-        report(line)
-
-    while round_ < len(config.surveys) and time.monotonic() - begun < config.max_seconds:
-        learner = None if round_ == 0 else folder / f"policy-{round_ - 1}.safetensors"
-        deadline = begun + config.max_seconds
-        if not _fly_round(
-            config, round_, learner, deadline, lambda done, of: say(flown=done, surveys=of)
-        ):
-            break
-        files = [sorted((folder / "demonstrations").glob(f"{r}-*.npz")) for r in range(round_ + 1)]
-        trained = Demonstrations.load([f for part in files for f in part[config.held_out :]])
-        held_out = Demonstrations.load([f for part in files for f in part[: config.held_out]])
-        steps = config.updates[round_]
-        network.train()
-        losses = []
-        while step < steps and time.monotonic() - begun < config.max_seconds:
-            for group in optimiser.param_groups:
-                group["lr"] = config.learning_rate * 0.5 * (1 + np.cos(np.pi * step / steps))
-            rng = np.random.default_rng([config.seed, round_, step])
-            loss, _ = expert_loss(
-                network, trained, rng, config.batch_size, int(rng.integers(SYMMETRIES))
-            )
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimiser.step()
-            losses.append(float(loss.detach()))
-            step, total = step + 1, total + 1
-            if step % config.checkpoint_steps == 0 or step == steps:
-                scores = _held_out(network, held_out)
-                say(loss=round(float(np.mean(losses)), 4), **scores)
-                losses.clear()
-                save()
-        if step < steps:
-            break
-        card = {"name": f"imitation, round {round_}", "policy": SHAPE, "scores": scores}
-        export_policy(network.state_dict(), folder / f"policy-{round_}.safetensors", card)
-        round_, step = round_ + 1, 0
-        save()
-    torch.set_num_threads(threads)
-    return ImitationResult(round_, total, spent(), scores, path)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+        run.step += 1
+        run.state["step_in_round"] = step = step + 1
+        if step % config.checkpoint_steps == 0 or step == steps:
+            run.scores = _held_out(network, held_out)
+            run.record(round=round_, loss=round(float(np.mean(losses)), 4), **run.scores)
+            losses.clear()
+            run.save()
+    return True
 
 
 def expert_loss(
@@ -228,40 +182,33 @@ def _held_out(network: nn.Module, demonstrations: Demonstrations) -> dict[str, f
     return {"held_out_loss": round(loss, 4), "agreement": round(agreed, 4)}
 
 
-def _fly_round(
-    config: ImitationConfig,
-    round_: int,
-    learner: Path | None,
-    deadline: float,
-    report: Callable[[int, int], None],
-) -> bool:
+def _fly_round(config: ImitationConfig, run: Run) -> bool:
     """Fly what is missing of a round; whether all of it is there."""
-    folder = Path(config.out) / "demonstrations"
+    round_, folder = run.state["round"], run.folder / "demonstrations"
     folder.mkdir(exist_ok=True)
     worlds = LinkWorlds(config.data, config.split, start=config.start, side=config.side)
     how = DemonstrationConfig(worlds, config.predictors, config.expert, steps=config.steps)
+    learner = None if round_ == 0 else _policy(run, round_ - 1)
     count = config.surveys[round_]
-    paths = {k: folder / f"{round_}-{k:05d}.npz" for k in range(count)}
-    missing = [k for k, path in paths.items() if not path.exists()]
-    done = count - len(missing)
-    if not missing:
-        return True
+    jobs = [
+        (how, learner, (config.seed, round_, k), path)
+        for k in range(count)
+        if not (path := folder / f"{round_}-{k:05d}.npz").exists()
+    ]
     if config.workers <= 1:
-        for k in missing:
-            if time.monotonic() > deadline:
+        for job in jobs:
+            if run.over:
                 return False
-            _fly_one(how, learner, (config.seed, round_, k), paths[k])
+            _fly_one(*job)
         return True
+    done = count - len(jobs)
     with process_pool(config.workers) as pool:
-        futures = [
-            pool.submit(_fly_one, how, learner, (config.seed, round_, k), paths[k]) for k in missing
-        ]
-        for future in as_completed(futures):
+        for future in as_completed([pool.submit(_fly_one, *job) for job in jobs]):
             future.result()
             done += 1
             if done % 10 == 0 or done == count:
-                report(done, count)
-            if time.monotonic() > deadline:
+                run.record(round=round_, flown=done, surveys=count)
+            if run.over:
                 return done == count
     return True
 

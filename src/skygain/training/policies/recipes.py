@@ -4,24 +4,18 @@ from __future__ import annotations
 
 __all__ = ["POLICY_RECIPES", "train_policy"]
 
-from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from skygain.environments.rewards import RewardConfig
-from skygain.ground.errors import InputError
 from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.policies.weights import export_policy
-from skygain.networks.weights import runs_folder
-from skygain.training.policies.dqn import DqnConfig, DqnResult, train_dqn
-from skygain.training.policies.imitation import (
-    SHAPE,
-    ImitationConfig,
-    ImitationResult,
-    train_imitation,
-)
-from skygain.training.run import under
+from skygain.training.policies.dqn import train_dqn
+from skygain.training.policies.imitation import SHAPE, ImitationConfig, train_imitation
+from skygain.training.policies.learner import DqnConfig
+from skygain.training.recipes import settled
+from skygain.training.run import Report, Result, under
 
 REWARDS_ONLY = DqnConfig(
     predictor="paper-unet",
@@ -65,9 +59,9 @@ def train_policy(
     data: str | Path,
     out: str | Path | None = None,
     *,
-    report: Callable[[dict[str, Any]], None] = lambda record: None,
+    report: Report = lambda record: None,
     **changes: Any,
-) -> DqnResult | ImitationResult:
+) -> Result:
     """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is
     there; ``changes`` override the recipe.
 
@@ -75,29 +69,16 @@ def train_policy(
     lives in `skygain.networks.weights.runs_folder`, where the planners find it.
 
     Raises:
-        InputError: unknown recipe, no such data set, or a checkpoint in ``out`` that is not one.
+        InputError: unknown recipe or setting, no such data set, or a checkpoint in ``out`` that is
+            not one.
     """
-    if name not in POLICY_RECIPES:
-        raise InputError(
-            f"unknown policy recipe {name!r}; known: {', '.join(sorted(POLICY_RECIPES))}"
-        )
-    folder = Path(out) if out is not None else runs_folder() / name
-    recipe = POLICY_RECIPES[name]
-    unknown = [key for key in changes if key not in {f.name for f in fields(recipe)}]
-    if unknown:
-        raise InputError(f"the recipe {name!r} has no setting {unknown[0]!r}; leave it out")
-    if isinstance(recipe, DqnConfig):
-        config = replace(recipe, data=str(data), out=str(folder), **changes)
-        result: DqnResult | ImitationResult = train_dqn(config, report)
-        policy = {
-            key: getattr(config, key)
-            for key in ("network", "atoms", "side", "dueling", "v_min", "v_max")
-        }
+    config = settled("policy recipe", POLICY_RECIPES, name, out, data=str(data), **changes)
+    if isinstance(config, DqnConfig):
+        result = train_dqn(config, report)
+        keys = ("network", "atoms", "side", "dueling", "v_min", "v_max")
+        policy = {key: getattr(config, key) for key in keys}
     else:
-        result = train_imitation(
-            replace(recipe, data=str(data), out=str(folder), **changes), report
-        )
-        policy = SHAPE
+        result, policy = train_imitation(config, report), SHAPE
     tensors, meta = load_checkpoint(result.checkpoint)
     kept = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
     for key in ("start_from", "demonstrations"):
@@ -111,5 +92,5 @@ def train_policy(
         "scores": result.scores,
         "recipe": kept,
     }
-    export_policy(under("network.", tensors), folder / f"{name}.safetensors", card)
+    export_policy(under("network.", tensors), Path(config.out) / f"{name}.safetensors", card)
     return result

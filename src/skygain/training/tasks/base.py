@@ -9,9 +9,7 @@ from __future__ import annotations
 
 __all__ = ["GainTask", "OperatorTask", "Task", "scores_of"]
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,13 +17,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from skygain.datasets.links import Links, View, load_links
+from skygain.datasets.links import Links, Paths, View, load_links
 from skygain.networks.operator.features import CHANNELS, PROFILE_CHANNELS, fill_features
 from skygain.networks.operator.network import OperatorConfig, PropagationOperator
 from skygain.training.likelihood import gaussian_loss, gaussian_scores
+from skygain.training.run import Report
 
 Batch = dict[str, Tensor]
-Paths = str | Path | Sequence[str | Path]
 
 
 class Task(Protocol):
@@ -35,7 +33,7 @@ class Task(Protocol):
     def side(self) -> int:
         """Cells along the edge of a training window."""
 
-    def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> Any:
+    def load(self, data: Paths, split: str, report: Report) -> Any:
         """What batches are made of, from one split of the data sets ``data``; ``report`` hears of
         long preparations."""
 
@@ -55,7 +53,7 @@ class Task(Protocol):
 class GainTask:
     """What tasks share that learn gain maps from the links of a data set."""
 
-    def load(self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]) -> Links:
+    def load(self, data: Paths, split: str, report: Report) -> Links:
         return load_links(data, split)
 
     def predict(self, network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor]:

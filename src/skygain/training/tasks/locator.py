@@ -10,9 +10,6 @@ from __future__ import annotations
 
 __all__ = ["LocatorPool", "LocatorTask", "survey_cells"]
 
-import hashlib
-import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,8 +20,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from skygain.datasets.links import Links, read_links, several_paths
+from skygain.datasets.links import Links, Paths
+from skygain.grid import SYMMETRIES, turned, turned_cells
 from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
 from skygain.networks.operator.evidence import (
     CHANNELS,
     EvidenceSums,
@@ -34,8 +33,10 @@ from skygain.networks.operator.evidence import (
 )
 from skygain.networks.operator.locator import LocatorNet
 from skygain.networks.operator.path_model import PathModel
-from skygain.networks.weights import runs_folder, weight_file
-from skygain.training.tasks.base import Batch, Paths, odds_for
+from skygain.networks.weights import weight_file
+from skygain.training.pools import flown_cities
+from skygain.training.run import Report
+from skygain.training.tasks.base import Batch, odds_for
 from skygain.training.trajectories import (
     covering_paths,
     lawnmower_cells,
@@ -72,16 +73,12 @@ class LocatorPool:
         return int(self._after[-1])
 
     def sample(self, k: int, symmetry: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Evidence maps and target of sample ``k``, turned and mirrored as in `Links.view`."""
+        """Evidence maps and target of sample ``k``, under a symmetry."""
         city = int(np.searchsorted(self._after, k, side="right"))
         at = k - int(self._after[city])  # from the end: negative
-        maps, (row, col) = self.channels[city][at], self.transmitter[city][at]
-        if symmetry & 1:
-            maps, row = maps[:, ::-1], self.side - 1 - row
-        if symmetry & 2:
-            maps, col = maps[:, :, ::-1], self.side - 1 - col
-        if symmetry & 4:
-            maps, row, col = maps.transpose(0, 2, 1), col, row
+        maps, place = self.channels[city][at], self.transmitter[city][at]
+        maps = turned(maps, symmetry)
+        row, col = turned_cells(place, (self.side - 1, self.side - 1), symmetry)
         maps = maps.astype(np.float32)
         return maps, _target(maps[CHANNELS.index("open")] > 0, float(row), float(col))
 
@@ -110,50 +107,37 @@ class LocatorTask:
     pool: str = ""
     """folder of the pools; by default beside the runs"""
 
-    def load(
-        self, data: Paths, split: str, report: Callable[[dict[str, Any]], None]
-    ) -> LocatorPool:
+    def load(self, data: Paths, split: str, report: Report) -> LocatorPool:
         """The pools of ``split`` of every data set, flown as far as that has not been done yet."""
-        channels, transmitter = [], []
-        for path in several_paths(data):
-            for file in self._pool(path, split, report):
-                with np.load(file) as found:
-                    transmitter.append(found["transmitter"])
-                channels.append(np.load(file.with_suffix(".maps.npy"), mmap_mode="r"))
-        if not channels:
-            raise InputError(f"{data} holds no link of split {split!r}")
+        told = (self.side, self.flights, self.altitude_odds, MARGIN_CELLS, SIDE_CELLS, CHANNELS)
+        files = flown_cities(
+            "locator-pool",
+            data,
+            split,
+            self._fly_city,
+            weights=(self.paths,),
+            settings=told,
+            stream=lambda path, city: [ord(split[1]), city],
+            pool=self.pool,
+            report=report,
+        )
+        channels = [np.load(file.with_suffix(".maps.npy"), mmap_mode="r") for file in files]
+        transmitter = [np.load(file)["transmitter"] for file in files]
         return LocatorPool(channels, transmitter, self.side)
 
-    def _pool(self, data: Path, split: str, report: Callable[[dict[str, Any]], None]) -> list[Path]:
-        """The files of one data set, one for each city, those missing made first."""
-        told = (self.side, self.flights, self.altitude_odds, MARGIN_CELLS, SIDE_CELLS, CHANNELS)
-        made_by = " ".join(map(str, told)).encode()
-        state = hashlib.sha256(made_by + weight_file(self.paths).read_bytes()).hexdigest()[:12]
-        folder = (
-            (Path(self.pool) if self.pool else runs_folder() / "locator-pool")
-            / f"{data.name}-{state}"
-            / split
-        )
-        links = read_links(data, split)
-        if links is None:
-            return []  # another data set may have some
-        folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / f"{city:04d}.npz" for city in range(len(links.height_m))]
-        model = None
-        for city, file in enumerate(files):
-            if not file.exists():
-                model = model or PathModel.load(weight_file(self.paths))
-                _write(
-                    file,
-                    *self._flown(links, city, model, np.random.default_rng([ord(split[1]), city])),
-                )
-                report({"pool": data.name, "split": split, "city": city + 1, "of": len(files)})
-        return files
+    def _fly_city(self, links: Links, city: int, rng: np.random.Generator, file: Path) -> None:
+        """The maps are written first, so that a city whose small file exists is whole."""
+        model = PathModel.load(weight_file(self.paths))
+        maps, transmitter = self._flown(links, city, model, rng)
+        with atomic_write(file.with_suffix(".maps.npy")) as part, part.open("wb") as out:
+            np.save(out, maps)
+        with atomic_write(file) as part, part.open("wb") as out:
+            np.savez(out, transmitter=transmitter)
 
     def _flown(
         self, links: Links, city: int, model: PathModel, rng: np.random.Generator
-    ) -> tuple[NDArray[np.float16], NDArray[np.float32], NDArray[np.float32]]:
-        maps, transmitter, card = [], [], []
+    ) -> tuple[NDArray[np.float16], NDArray[np.float32]]:
+        maps, transmitter = [], []
         for _ in range(self.flights):
             heard = np.flatnonzero(links.city == city)
             odds = odds_for(links, self.altitude_odds) * links.available[heard].any(axis=0)
@@ -191,8 +175,7 @@ class LocatorTask:
                         evidence_channels(s, height, links.spacing_m, altitude_m).astype(np.float16)
                     )
                     transmitter.append(view.transmitter[:2])
-                    card.append((taken, altitude_m))
-        return np.stack(maps), np.array(transmitter, np.float32), np.array(card, np.float32)
+        return np.stack(maps), np.array(transmitter, np.float32)
 
     def network(self) -> nn.Module:
         return LocatorNet()
@@ -201,7 +184,9 @@ class LocatorTask:
         self, links: LocatorPool, size: int, rng: np.random.Generator, augment: bool = True
     ) -> Batch:
         drawn = [
-            links.sample(int(rng.integers(len(links))), int(rng.integers(8)) if augment else 0)
+            links.sample(
+                int(rng.integers(len(links))), int(rng.integers(SYMMETRIES)) if augment else 0
+            )
             for _ in range(size)
         ]
         maps, target = (np.stack(column) for column in zip(*drawn, strict=True))
@@ -265,15 +250,3 @@ def survey_cells(
         cells = scattered_cells(free, count, rng)
     _, first = np.unique(cells[:, 0] * free.shape[1] + cells[:, 1], return_index=True)
     return cells[np.sort(first)][:count]
-
-
-def _write(file: Path, maps: NDArray, transmitter: NDArray, card: NDArray) -> None:
-    """The maps first, so that a city whose small file exists is whole."""
-    for path, save in (
-        (file.with_suffix(".maps.npy"), lambda f: np.save(f, maps)),
-        (file, lambda f: np.savez(f, transmitter=transmitter, card=card)),
-    ):
-        part = path.with_suffix(".part")
-        with part.open("wb") as out:
-            save(out)
-        os.replace(part, path)
