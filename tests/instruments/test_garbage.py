@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
-from skygain.instruments import GriddedRecording, grid_for, read_recording
-from skygain.instruments.recording import MAX_LEVEL_DB
+from skygain.instruments import GriddedRecording, grid_for, on_grid, read_recording
+from skygain.instruments.levels import MAX_LEVEL_DB
 
 NAMES = st.sampled_from(
     [
@@ -75,7 +75,7 @@ OPTIONS = st.fixed_dictionaries(
         "columns": st.dictionaries(
             st.sampled_from(["level", "latitude", "x", "time", "colour"]), NAMES, max_size=2
         ),
-        "crs": st.sampled_from([None, "local", "EPSG:32617", "EPSG:4326", "nonsense"]),
+        "recording_crs": st.sampled_from([None, "local", "EPSG:32617", "EPSG:4326", "nonsense"]),
     },
 )
 
@@ -116,7 +116,7 @@ def outcome(content: bytes, options: dict) -> None:
         lambda: grid_for(recording, 50.0),
     ):
         try:
-            gridded = recording.on(make_grid())
+            gridded = on_grid(recording, make_grid())
         except InputError:
             continue
         sound(gridded, n)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
-from skygain.instruments import Recording, grid_for, read_recording
+from skygain.instruments import Recording, grid_for, on_grid, read_recording
 
 GRID = Grid((10, 12), 4.0, (2.0, 2.0))
 
@@ -26,7 +26,7 @@ def test_cells_hold_the_mean_of_their_distinct_readings(seed, n):
     rng = np.random.default_rng(seed)
     xy, level = rng.uniform(-6, 50, (n, 2)), rng.normal(-90, 10, n).round()
     xy[0] = 20.0
-    gridded = recorded(xy, level).on(GRID)
+    gridded = on_grid(recorded(xy, level), GRID)
     cells = GRID.cells_at(xy)
     inside = GRID.contains(cells)
     assert gridded.outside == (~inside).sum()
@@ -45,15 +45,18 @@ def test_the_order_of_readings_does_not_matter():
     rng = np.random.default_rng(1)
     xy, level = rng.uniform(0, 48, (200, 2)), rng.normal(-90, 10, 200)
     order = rng.permutation(200)
-    first, second = recorded(xy, level).on(GRID), recorded(xy[order], level[order]).on(GRID)
+    first, second = (
+        on_grid(recorded(xy, level), GRID),
+        on_grid(recorded(xy[order], level[order]), GRID),
+    )
     assert first.level_db.tobytes() == second.level_db.tobytes()
     assert first.noise_std_db.tobytes() == second.noise_std_db.tobytes()
 
 
 def test_copies_of_a_reading_bring_no_certainty_and_no_weight():
     xy, level = [[2, 2], [3, 3], [9, 9], [10, 9]], [-90.0, -94.0, -100.0, -98.0]
-    once = recorded(xy, level).on(GRID)
-    often = recorded([*xy, *[xy[0]] * 50], [*level, *[level[0]] * 50]).on(GRID)
+    once = on_grid(recorded(xy, level), GRID)
+    often = on_grid(recorded([*xy, *[xy[0]] * 50], [*level, *[level[0]] * 50]), GRID)
     np.testing.assert_array_equal(often.level_db, once.level_db)
     np.testing.assert_array_equal(often.noise_std_db, once.noise_std_db)
     assert often.count.tolist() == [52, 2]
@@ -68,7 +71,7 @@ def test_stated_standard_deviation_is_that_of_the_cell_means():
     count = rng.integers(1, 12, 3600)
     cell = np.repeat(np.arange(3600), count)
     xy = grid.xy_m(grid.cells[cell]) + rng.uniform(-1.9, 1.9, (len(cell), 2))
-    gridded = recorded(xy, rng.normal(-90, 5.0, len(cell))).on(grid, floor_std_db=0.0)
+    gridded = on_grid(recorded(xy, rng.normal(-90, 5.0, len(cell))), grid, floor_std_db=0.0)
     z = (gridded.level_db + 90) / gridded.noise_std_db
     for low, high in ((1, 2), (3, 6), (7, 12)):
         some = (gridded.distinct >= low) & (gridded.distinct <= high)
@@ -76,46 +79,54 @@ def test_stated_standard_deviation_is_that_of_the_cell_means():
 
 
 def test_no_cell_is_surer_than_the_floor():
-    gridded = recorded(np.random.default_rng(3).uniform(0, 4, (500, 2)), np.full(500, -90.0)).on(
-        GRID, floor_std_db=1.5
+    gridded = on_grid(
+        recorded(np.random.default_rng(3).uniform(0, 4, (500, 2)), np.full(500, -90.0)),
+        GRID,
+        floor_std_db=1.5,
     )
     assert gridded.noise_std_db.tolist() == [1.5]
 
 
 def test_stated_noise_is_believed():
     xy = [[2, 2], [2.5, 2.5], [6, 6]]
-    gridded = recorded(xy, [-90, -92, -95], noise_std_db=np.array([3.0, 4.0, 0.0])).on(GRID)
+    gridded = on_grid(recorded(xy, [-90, -92, -95], noise_std_db=np.array([3.0, 4.0, 0.0])), GRID)
     assert gridded.noise_std_db.tolist() == [2.5, 0.0]
 
 
 def test_a_cell_is_censored_when_all_its_readings_are():
     xy = [[2, 2], [2.5, 2.5], [6, 6]]
-    gridded = recorded(xy, [-150, -140, -150], censored=np.array([True, False, True])).on(GRID)
+    gridded = on_grid(
+        recorded(xy, [-150, -140, -150], censored=np.array([True, False, True])), GRID
+    )
     assert gridded.censored.tolist() == [False, True]
 
 
 def test_readings_off_the_map_are_counted_and_all_off_is_an_error():
-    gridded = recorded([[2, 2], [-3, 2], [49, 2], [np.inf, 0], [1e300, 0]], [-90] * 5).on(GRID)
+    gridded = on_grid(
+        recorded([[2, 2], [-3, 2], [49, 2], [np.inf, 0], [1e300, 0]], [-90] * 5), GRID
+    )
     assert (len(gridded), gridded.outside) == (1, 4)
     with pytest.raises(
         InputError, match="all 2 readings of made up lie outside the map: they span x"
     ):
-        recorded([[-3, 2], [90, 2]], [-90, -91]).on(GRID)
+        on_grid(recorded([[-3, 2], [90, 2]], [-90, -91]), GRID)
 
 
 def test_frames_must_agree():
     with pytest.raises(
         InputError, match="the map has a coordinate reference system and made up has none"
     ):
-        recorded([[2, 2]], [-90]).on(Grid((3, 3), 4.0, crs="EPSG:32617"))
+        on_grid(recorded([[2, 2]], [-90]), Grid((3, 3), 4.0, crs="EPSG:32617"))
     with pytest.raises(
         InputError, match="made up has a coordinate reference system and the map has none"
     ):
-        recorded([[2, 2]], [-90], crs="EPSG:32617").on(GRID)
+        on_grid(recorded([[2, 2]], [-90], crs="EPSG:32617"), GRID)
     with pytest.raises(InputError, match="has latitudes"):
-        Recording(np.array([-90.0]), "gain", "made up", latlon=np.array([[36.0, -78.9]])).on(GRID)
+        on_grid(
+            Recording(np.array([-90.0]), "gain", "made up", latlon=np.array([[36.0, -78.9]])), GRID
+        )
     with pytest.raises(InputError, match="floor_std_db"):
-        recorded([[2, 2]], [-90]).on(GRID, floor_std_db=-1)
+        on_grid(recorded([[2, 2]], [-90]), GRID, floor_std_db=-1)
 
 
 LATLON = np.array([[36.0005, -78.9405], [36.0015, -78.9385], [35.9995, -78.9415]])
@@ -126,7 +137,7 @@ def test_grid_for_degrees_is_in_the_right_zone_and_holds_every_reading():
     recording = Recording(np.array([-90.0, -91, -92]), "power", "made up", latlon=LATLON)
     grid = grid_for(recording, 4.0)
     assert grid.crs == "EPSG:32617"
-    gridded = recording.on(grid)
+    gridded = on_grid(recording, grid)
     assert (len(gridded), gridded.outside) == (3, 0)
     # Every reading lies within half a cell's diagonal of the centre of its cell.
     centres = grid.xy_m(gridded.cell)
@@ -149,17 +160,17 @@ def test_grid_for_a_local_frame_and_for_a_box():
     recording = recorded([[2, 3], [30, 40]], [-90, -91])
     grid = grid_for(recording, 5.0)
     assert grid.crs is None
-    assert recording.on(grid).outside == 0
+    assert on_grid(recording, grid).outside == 0
     boxed = grid_for(recording, 5.0, box=(0, 0, 20, 20))
     assert boxed == Grid((4, 4), 5.0, (2.5, 2.5))
-    assert recording.on(boxed).outside == 1
+    assert on_grid(recording, boxed).outside == 1
 
 
 def test_a_box_in_degrees_bounds_the_map():
     pytest.importorskip("pyproj")
     recording = Recording(np.array([-90.0, -91, -92]), "power", "made up", latlon=LATLON)
     grid = grid_for(recording, 4.0, box=(-78.942, 36.000, -78.938, 36.002))
-    assert recording.on(grid).outside == 1
+    assert on_grid(recording, grid).outside == 1
     corner = grid.latlon([[0, 0]])[0]
     np.testing.assert_allclose(corner, [36.000, -78.942], atol=1e-4)
 
@@ -180,7 +191,7 @@ def test_swapped_columns_are_noticed_on_the_map():
     right = Recording(np.array([-90.0, -91, -92]), "power", "made up", latlon=eleven_east)
     wrong = Recording(right.level_db, "power", "made up", latlon=right.latlon[:, ::-1].copy())
     with pytest.raises(InputError, match="exchange the latitude and longitude columns"):
-        wrong.on(grid_for(right))
+        on_grid(wrong, grid_for(right))
 
 
 def test_real_campaign_on_the_authors_box(shared_data):
@@ -190,7 +201,7 @@ def test_real_campaign_on_the_authors_box(shared_data):
     x, y = pyproj.Transformer.from_crs(4326, 32617, always_xy=True).transform(-78.942737, 36.001483)
     grid = Grid((128, 128), 4.0, (x + 2, y - 510), "EPSG:32617")
     recording = read_recording(path, where={"PCI": "B", "device": "Pixel"})
-    gridded = recording.on(grid)
+    gridded = on_grid(recording, grid)
     table = pandas.read_csv(path).query("PCI == 'B' and device == 'Pixel'").drop_duplicates()
     assert len(recording) == 1359
     e, n = pyproj.Transformer.from_crs(4326, 32617, always_xy=True).transform(

@@ -17,6 +17,7 @@ from skygain.instruments import (
     GriddedRecording,
     Recording,
     ReplayInstrument,
+    on_grid,
     replay_scenario,
     replay_truth,
 )
@@ -29,9 +30,12 @@ GRID = Grid((30, 40), 4.0, (2.0, 2.0))
 def recording_at(cells, grid: Grid = GRID) -> GriddedRecording:
     cells = np.asarray(cells)
     level = -80.0 - np.arange(len(cells))
-    return Recording(
-        level, "gain", "walk.csv", xy_m=grid.xy_m(cells), noise_std_db=np.full(len(cells), 1.5)
-    ).on(grid)
+    return on_grid(
+        Recording(
+            level, "gain", "walk.csv", xy_m=grid.xy_m(cells), noise_std_db=np.full(len(cells), 1.5)
+        ),
+        grid,
+    )
 
 
 def streets(seed: int, n: int = 60) -> GriddedRecording:

@@ -73,11 +73,11 @@ def test_latitudes_lead_back_to_the_cells(make_outcome: Make, tmp_path: Path) ->
 
 
 def test_a_survey_can_be_replayed_from_its_own_csv(make_outcome: Make, tmp_path: Path) -> None:
-    from skygain.instruments.recording import read_recording
+    from skygain.instruments import on_grid, read_recording
 
     outcome = make_outcome()
     write_measurements_csv(outcome, tmp_path / "m.csv")
-    again = read_recording(str(tmp_path / "m.csv")).on(outcome.grid)
+    again = on_grid(read_recording(tmp_path / "m.csv"), outcome.grid)
     readings = outcome.result.measurements
     truth = {
         tuple(cell): gain

@@ -26,7 +26,7 @@ from skygain.reports.flown import Flown
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
-from skygain.survey.requests import CityRequest
+from skygain.survey.requests import CityRequest, RecordingRequest
 from skygain.survey.worlds import open_world, parse_position
 
 if TYPE_CHECKING:
@@ -123,17 +123,12 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
 
 
 def _recorded(request: SurveyRequest) -> _Setting:
-    from skygain.instruments.gridded import grid_for
-    from skygain.instruments.recording import read_recording
+    from skygain.instruments.gridded import grid_for, on_grid
+    from skygain.instruments.reading import read_recording
     from skygain.instruments.replay import ReplayInstrument, replay_scenario, replay_truth
 
-    recording = read_recording(
-        str(request.replay),
-        columns=request.columns,
-        where=request.where,
-        eirp_dbm=request.eirp_dbm,
-        crs=request.crs,
-    )
+    options = part(request, RecordingRequest)
+    recording = read_recording(options.pop("replay"), **options)
     city = None
     if request.city is not None:
         from skygain.cities import read_city
@@ -142,7 +137,7 @@ def _recorded(request: SurveyRequest) -> _Setting:
         del options["city"]
         city = read_city(request.city, **options).city
     grid = city.grid if city else grid_for(recording, request.spacing_m or 4.0, request.box)
-    gridded = recording.on(grid)
+    gridded = on_grid(recording, grid)
     transmitter = None
     if request.transmitter != "random":
         x, y, z = parse_position(request.transmitter)

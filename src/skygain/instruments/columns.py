@@ -1,6 +1,6 @@
-"""Which column of a recorded campaign is which.
+"""Which column of a log is which.
 
-Campaigns are logged by many tools, and each names its columns its own way. A column can always be
+Logs are written by many tools, and each names its columns its own way. A column can always be
 named; what is not named is guessed from a fixed list of usual names, and a guess is refused rather
 than made when two columns would do.
 """
@@ -11,17 +11,22 @@ __all__ = [
     "GUESSES",
     "LEVEL_NAMES",
     "ROLES",
+    "column_for",
     "find_columns",
+    "headings",
     "level_quantity",
     "named_column",
     "normalised",
+    "series_columns",
 ]
 
 import difflib
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 
 from skygain.ground.errors import InputError
+from skygain.instruments.tables import quoted_list
 
 LEVEL_NAMES: dict[str, str] = {
     **dict.fromkeys(
@@ -30,14 +35,27 @@ LEVEL_NAMES: dict[str, str] = {
     **dict.fromkeys(
         ("level", "rx_level", "signal", "signal_level", "signal_strength", "strength"), "power"
     ),
-    **dict.fromkeys(("power", "rx_power", "received_power", "rss", "dbm"), "power"),
+    **dict.fromkeys(("power", "rx_power", "received_power", "rss", "1rss", "dbm"), "power"),
+    **dict.fromkeys(("pegel", "empfangspegel", "niveau", "nivel", "livello", "уровень"), "power"),
     **dict.fromkeys(("gain", "channel_gain", "path_gain", "pathgain"), "gain"),
     **dict.fromkeys(("path_loss", "pathloss", "loss", "attenuation"), "loss"),
 }
 """usual names of the level, and what each measures: power in dBm, gain in dB, or loss in dB"""
 
 GUESSES: dict[str, tuple[str, ...]] = {
-    "latitude": ("lat", "latitude", "gps_lat", "gps_latitude"),
+    "latitude": (
+        "lat",
+        "latitude",
+        "gps_lat",
+        "gps_latitude",
+        "currentlatitude",
+        "lat_deg",
+        "breite",
+        "breitengrad",
+        "latitud",
+        "latitudine",
+        "широта",
+    ),
     "longitude": (
         "lon",
         "lng",
@@ -47,30 +65,93 @@ GUESSES: dict[str, tuple[str, ...]] = {
         "gps_lng",
         "gps_long",
         "gps_longitude",
+        "currentlongitude",
+        "lange",
+        "langengrad",
+        "laenge",
+        "longitud",
+        "longitudine",
+        "долгота",
     ),
     "x": ("x", "easting", "east", "utm_x", "utm_e", "x_utm"),
     "y": ("y", "northing", "north", "utm_y", "utm_n", "y_utm"),
+    "position": (
+        "gps",
+        "gps_position",
+        "position",
+        "location",
+        "coordinates",
+        "latlon",
+        "lat_lon",
+        "latlng",
+        "lat_lng",
+        "wkt",
+        "geometry",
+    ),
     "level": tuple(LEVEL_NAMES),
     "noise": ("noise_std",),
-    "time": ("time", "timestamp", "datetime", "t"),
+    "time": ("time", "timestamp", "datetime", "t", "zeit", "firstseen", "время", "heure", "hora"),
     "censored": ("censored",),
+    "altitude": (
+        "alt",
+        "altitude",
+        "altitudemeters",
+        "height",
+        "alt_agl",
+        "altitude_agl",
+        "agl",
+        "height_agl",
+        "relative_altitude",
+        "altitude_relative",
+        "alt_rel",
+        "rel_alt",
+        "relative_alt",
+        "gps_alt",
+        "gps_altitude",
+        "hohe",
+        "z",
+        "elevation",
+        "ele",
+        "alt_msl",
+        "alt_amsl",
+        "hoehe",
+    ),
 }
-"""usual names of each role's column, in lower case and without unit"""
+"""usual names of each role's column, in lower case and without accents and unit"""
 
 ROLES = tuple(GUESSES)
 """what a column can be"""
 
-_UNIT = re.compile(r"_(dbm|db|m|metres|meters|deg|degrees|s|sec|seconds|ms)$")
+_SERIES = ("pci", "pc", "physical_cell_id", "physical_cell_identity", "cell_id", "cellid", "cell")
+_SERIES += ("ci", "eci", "nci", "cgi", "ecgi", "ncgi", "psc", "cellname", "cell_name", "mac")
+_SERIES += ("bssid", "ssid", "mac_address", "earfcn", "arfcn", "nrarfcn", "nr_arfcn", "uarfcn")
+_UNIT = re.compile(r"_(dbm|db|m|metres|meters|deg|degrees|s|sec|seconds|ms|дбм|дб|м)$")
 
 
 def normalised(name: str) -> str:
-    """A column name in lower case with underscores: ``"RSRP [dBm]"`` becomes ``"rsrp_dbm"``."""
-    return re.sub(r"[^0-9a-z]+", "_", name.casefold()).strip("_")
+    """A column name in lower case, without accents, with underscores: ``"RSRP [dBm]"`` becomes
+    ``"rsrp_dbm"``, ``"Länge"`` becomes ``"lange"``."""
+    plain = unicodedata.normalize("NFC", name.casefold())
+    plain = "".join(
+        unicodedata.normalize("NFKD", c)[0] if c.isalpha() and c not in "йё" else c for c in plain
+    )
+    return re.sub(r"[\W_]+", "_", plain).strip("_")
+
+
+def _plain(name: str) -> tuple[str, str]:
+    plain = normalised(name)
+    return plain, _UNIT.sub("", plain)
 
 
 def _fits(role: str, name: str) -> bool:
-    plain = normalised(name)
-    return plain in GUESSES[role] or _UNIT.sub("", plain) in GUESSES[role]
+    return any(form in GUESSES[role] for form in _plain(name))
+
+
+def headings(fields: Sequence[str]) -> bool:
+    """Whether a line's fields look like the names of a log's columns: a position and more."""
+    has = {role: any(_fits(role, f) for f in fields) for role in ROLES}
+    pair = (has["latitude"] and has["longitude"]) or (has["x"] and has["y"]) or has["position"]
+    return pair and len(fields) >= 2
 
 
 def level_quantity(name: str) -> str:
@@ -80,8 +161,8 @@ def level_quantity(name: str) -> str:
     >>> level_quantity("Path Loss (dB)"), level_quantity("RSRP"), level_quantity("my column")
     ('loss', 'power', 'power')
     """
-    plain = normalised(name)
-    known = LEVEL_NAMES.get(plain) or LEVEL_NAMES.get(_UNIT.sub("", plain))
+    plain, without_unit = _plain(name)
+    known = LEVEL_NAMES.get(plain) or LEVEL_NAMES.get(without_unit)
     if known:
         return known
     if "loss" in plain or "attenuation" in plain:
@@ -89,9 +170,42 @@ def level_quantity(name: str) -> str:
     return "gain" if "gain" in plain else "power"
 
 
-def _listed(header: Sequence[str]) -> str:
-    shown = ", ".join(repr(name[:40]) for name in header[:30])
-    return shown + (f" and {len(header) - 30} more" if len(header) > 30 else "")
+def series_columns(header: Sequence[str], level: str) -> list[int]:
+    """Columns that tell one signal from another: cell, network or channel.
+
+    A neighbour's cell beside a serving cell's level is not that level's.
+    """
+    found = []
+    for i, name in enumerate(header):
+        plain, _ = _plain(name)
+        beside = any(w in plain and w not in normalised(level) for w in ("detected", "neighb"))
+        named = plain in _SERIES or plain.startswith(("physical_cell_id", "pci_", "cell_id_"))
+        if named and not beside:
+            found.append(i)
+    return found
+
+
+def column_for(header: Sequence[str], name: str, what: str) -> int:
+    """Index of the column called ``name``, or of the one column that plays the role of that name:
+    ``altitude`` finds ``alt_agl_m``, ``pci`` finds ``Physical cell identity``.
+
+    Raises:
+        InputError: there is none.
+    """
+    try:
+        return named_column(header, name, what)
+    except InputError:
+        plain = normalised(name)
+        if plain in GUESSES:
+            found = _guessed(header, plain)
+        elif plain in _SERIES:
+            cells = [i for i in series_columns(header, "") if "arfcn" not in normalised(header[i])]
+            found = [i for i in cells if normalised(header[i]).startswith(plain[:2])] or cells
+        else:
+            found = []
+        if len(found) == 1:
+            return found[0]
+        raise
 
 
 def named_column(header: Sequence[str], name: str, what: str) -> int:
@@ -111,7 +225,9 @@ def named_column(header: Sequence[str], name: str, what: str) -> int:
             return found[0]
     close = difflib.get_close_matches(name, header, n=1)
     hint = f" did you mean {close[0]!r}?" if close else ""
-    raise InputError(f"no column {name!r} for the {what};{hint} the columns are {_listed(header)}")
+    raise InputError(
+        f"no column {name!r} for the {what};{hint} the columns are {quoted_list(header)}"
+    )
 
 
 def _guessed(header: Sequence[str], role: str) -> list[int]:
@@ -123,28 +239,36 @@ def _required(header: Sequence[str], role: str) -> int:
     if len(found) > 1:
         options = ", ".join(repr(header[i]) for i in found)
         raise InputError(
-            f"columns {options} could each be the {role}; name the one to use (columns: "
-            f"{_listed(header)})"
+            f"columns {options} could each be the {role}; name the one to use with "
+            f"`columns={role}={_option(header[found[0]])}`; columns: {quoted_list(header)}"
         )
     if not found:
         raise InputError(
-            f"found no column for the {role}; name it (columns: {_listed(header)}; guessed names: "
-            f"{', '.join(GUESSES[role])})"
+            f"found no column for the {role}; name it with `columns={role}=NAME`; "
+            f"columns: {quoted_list(header)}; guessed names: {', '.join(GUESSES[role][:12])}"
         )
     return found[0]
 
 
-def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, int]:
-    """Index of the column for each role: the position (two of the first four `ROLES`), the level,
-    and what else there is.
+def _option(name: str) -> str:
+    return f'"{name}"' if re.search(r"[^\w.]", name) else name
+
+
+def find_columns(
+    header: Sequence[str], named: Mapping[str, str], given: Mapping[str, str] | None = None
+) -> tuple[dict[str, int], list[str]]:
+    """Index of the column for each role, and what was left open.
+
+    The roles found are the position (latitude and longitude, x and y, or one column with both),
+    the level, and what else there is of noise, time, censored and altitude.
 
     Args:
         header: column names.
         named: ``{role: column name}`` for the roles that are not to be guessed.
+        given: roles that the file's format gives, below those named.
 
     Where both a latitude, longitude pair and an x, y pair can be guessed, latitude and longitude
-    are taken. The optional roles (noise, time, censored) are left out when no column, or more than
-    one, would do.
+    are taken. An optional role is left out when more than one column would do.
 
     Raises:
         InputError: a named role or column does not exist, a role that is needed has no column or
@@ -155,33 +279,26 @@ def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, i
         raise InputError(f"unknown column role {unknown[0]!r}; known: {', '.join(ROLES)}")
     found = {role: named_column(header, name, role) for role, name in named.items()}
     geographic, metric = ("latitude", "longitude"), ("x", "y")
-    if any(role in found for role in geographic) and any(role in found for role in metric):
+    if sum(any(r in found for r in pair) for pair in (geographic, metric, ("position",))) > 1:
         raise InputError(
-            "columns are named both for latitude or longitude and for x or y; name one pair"
+            "columns are named for the position in two ways; name one pair, latitude and "
+            "longitude, or x and y"
         )
-    if any(role in found for role in metric):
-        pair = metric
-    elif any(role in found for role in geographic) or all(
-        _guessed(header, role) for role in geographic
-    ):
-        pair = geographic
-    elif all(_guessed(header, role) for role in metric):
-        pair = metric
-    else:
-        raise InputError(
-            "found no pair of columns for the position; name latitude and longitude, or x and y "
-            f"(columns: {_listed(header)}; "
-            f"guessed names: {', '.join(GUESSES['latitude'])} with "
-            f"{', '.join(GUESSES['longitude'])}, "
-            f"or {', '.join(GUESSES['x'])} with {', '.join(GUESSES['y'])})"
-        )
-    for role in (*pair, "level"):
+    here = any(r in found for r in (*geographic, *metric, "position"))
+    for role, name in (given or {}).items():
+        if role not in found and not (here and role in (*geographic, *metric, "position")):
+            found[role] = named_column(header, name, role)
+    for role in (*_place(header, found), "level"):
         if role not in found:
             found[role] = _required(header, role)
-    for role in ("noise", "time", "censored"):
+    open_roles = []
+    for role in ("noise", "time", "censored", "altitude"):
         guess = [i for i in _guessed(header, role) if i not in found.values()]
         if role not in found and len(guess) == 1:
             found[role] = guess[0]
+        elif role not in found and guess and role != "altitude":
+            names = quoted_list([header[i] for i in guess])
+            open_roles.append(f"no {role} read: columns {names} would each do")
     taken: dict[int, str] = {}
     for role, index in found.items():
         if index in taken:
@@ -190,4 +307,22 @@ def find_columns(header: Sequence[str], named: Mapping[str, str]) -> dict[str, i
                 "another for one of them"
             )
         taken[index] = role
-    return found
+    return found, open_roles
+
+
+def _place(header: Sequence[str], found: Mapping[str, int]) -> tuple[str, ...]:
+    """The roles that give the position."""
+    ways = (("latitude", "longitude"), ("x", "y"), ("position",))
+    for way in ways:
+        if any(role in found for role in way):
+            return way
+    for way in ways:
+        if all(_guessed(header, role) for role in way):
+            return way
+    raise InputError(
+        "found no pair of columns for the position; name latitude and longitude, or x and y, with "
+        f"`columns=latitude=NAME,longitude=NAME`; columns: {quoted_list(header)}; "
+        f"guessed names: {', '.join(GUESSES['latitude'][:4])} with "
+        f"{', '.join(GUESSES['longitude'][:4])}, or {', '.join(GUESSES['x'][:3])} with "
+        f"{', '.join(GUESSES['y'][:3])}"
+    )

@@ -8,10 +8,9 @@ strong reading would decide it.
 
 from __future__ import annotations
 
-__all__ = ["FLOOR_STD_DB", "GriddedRecording", "grid_for", "gridded"]
+__all__ = ["GriddedRecording", "grid_for", "on_grid"]
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +25,18 @@ from skygain.frames import (
 )
 from skygain.grid import Grid
 from skygain.ground.errors import InputError, require
+from skygain.instruments.recording import FLOOR_STD_DB, Recording
 from skygain.measurements import Measurements
-
-if TYPE_CHECKING:
-    from skygain.instruments.recording import Recording
-
-FLOOR_STD_DB = 1.0
-"""a cell's value is never taken to be surer than this, however many readings agree: phones report
-whole dB, and readings taken together share their error"""
 
 _POOLED_READINGS = 4.0
 """a cell's own spread is mixed with the spread of all cells as if the latter came from this many
 readings of its own"""
+
+_FAR = 10.0
+"""a reading more than so many times the map's size away belongs to another place"""
+
+_FEW = 50
+"""strays are told from so many readings on"""
 
 _WGS84 = "EPSG:4326"
 
@@ -71,6 +70,8 @@ class GriddedRecording:
     """``"gain"`` in dB or ``"power"`` in dBm"""
     source: str
     """where the recording came from"""
+    notes: tuple[str, ...] = ()
+    """what was mended, assumed or left out on the way here, a line each"""
 
     def __post_init__(self) -> None:
         for name in (
@@ -101,7 +102,7 @@ class GriddedRecording:
         )
 
 
-def gridded(
+def on_grid(
     recording: Recording, grid: Grid, *, floor_std_db: float = FLOOR_STD_DB
 ) -> GriddedRecording:
     """One value per cell of ``grid``.
@@ -128,11 +129,16 @@ def gridded(
         raise InputError(_all_outside(recording, grid))
     noise = np.zeros(len(recording)) if recording.noise_std_db is None else recording.noise_std_db
     floored = np.zeros(len(recording)) if recording.censored is None else recording.censored
-    rows = np.column_stack([grid.flat(cells), xy_m, recording.level_db, noise, floored])[on_map]
-    everyone, count = np.unique(rows[:, 0], return_counts=True)
-    rows = np.unique(rows, axis=0)
-    _, group, distinct = np.unique(rows[:, 0], return_inverse=True, return_counts=True)
-    level, noise, floored = rows[:, 3:].T
+    keys = (grid.flat(cells), *xy_m.T, recording.level_db, noise, floored)
+    flat, x, y, level, noise, floored = (key[on_map] for key in keys)
+    everyone, count = np.unique(flat, return_counts=True)
+    order = np.lexsort((floored, noise, level, y, x, flat))
+    rows = [key[order] for key in (flat, x, y, level, noise, floored)]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = np.any([key[1:] != key[:-1] for key in rows], axis=0)
+    flat, _, _, level, noise, floored = (key[new] for key in rows)
+    group = np.cumsum(np.r_[False, flat[1:] != flat[:-1]])
+    distinct = np.bincount(group)
     mean = np.bincount(group, level) / distinct
     squares = np.bincount(group, (level - mean[group]) ** 2)
     if recording.noise_std_db is None:
@@ -143,10 +149,9 @@ def gridded(
         std = np.sqrt(own / distinct + floor_std_db**2)
     else:
         std = np.sqrt(np.bincount(group, noise**2)) / distinct
-    flat = everyone.astype(np.int64)
     return GriddedRecording(
         grid=grid,
-        cell=np.stack(np.divmod(flat, grid.shape[1]), axis=-1),
+        cell=np.stack(np.divmod(everyone, grid.shape[1]), axis=-1),
         level_db=mean,
         noise_std_db=std,
         spread_db=np.where(distinct > 1, np.sqrt(squares / np.maximum(distinct - 1, 1)), np.nan),
@@ -156,6 +161,7 @@ def gridded(
         outside=int((~on_map).sum()),
         quantity=recording.quantity,
         source=recording.source,
+        notes=(*recording.notes, *_off_map(recording, grid, xy_m, on_map)),
     )
 
 
@@ -186,7 +192,7 @@ def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = 
     ):
         bounds: Bounds = tuple(float(v) for v in box)  # type: ignore[assignment]
     else:
-        bounds = _bounds(points)
+        bounds = _bounds(_near_others(points))
     target = metric_crs(source, bounds)
     if box is not None:
         return grid_over(box_in_metres(box, target), spacing_m, target)
@@ -202,6 +208,16 @@ def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = 
     )
 
 
+def _near_others(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points less a few strays: a receiver that loses its fix may report another country."""
+    if len(points) < _FEW:
+        return points
+    low, high = np.percentile(points, (2, 98), axis=0)
+    size = (high - low).max()
+    near = ((points >= low - _FAR * size) & (points <= high + _FAR * size)).all(axis=1)
+    return points[near] if size > 0 else points
+
+
 def _bounds(points: NDArray[np.float64]) -> Bounds:
     west, south = points.min(axis=0)
     east, north = points.max(axis=0)
@@ -215,8 +231,7 @@ def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
         if crs is None:
             raise InputError(
                 f"{recording.source} has latitudes, but the map has no coordinate reference "
-                "system; "
-                "use a georeferenced city, or grid_for"
+                "system; give the one the city is in (`crs`), or leave the city out"
             )
         return Grid((1, 1), 1.0, crs=crs).xy_m_at_latlon(recording.latlon)
     assert recording.xy_m is not None
@@ -229,8 +244,8 @@ def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
             else (recording.source, "the map")
         )
         raise InputError(
-            f"{with_crs} has a coordinate reference system and {without} has none; give both the "
-            "same crs, or neither"
+            f"{with_crs} has a coordinate reference system and {without} has none; give the one it "
+            "is in (`crs` for the city, `recording_crs` for the recording)"
         )
     pyproj = require("pyproj", "geo")
     x, y = pyproj.Transformer.from_crs(
@@ -254,9 +269,47 @@ def _cells_of(xy_m: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.int64],
     return np.where(on_map[:, None], cells, 0), on_map
 
 
-def _all_outside(recording: Recording, grid: Grid) -> str:
-    """Why no reading lies on the map, as far as can be told."""
-    message = f"all {len(recording)} readings of {recording.source} lie outside the map"
+def _off_map(
+    recording: Recording, grid: Grid, xy_m: NDArray[np.float64], on_map: NDArray[np.bool_]
+) -> list[str]:
+    """What to tell of readings off the map.
+
+    Raises:
+        InputError: most of them are so far from it that the recording is of another place.
+    """
+    off = int((~on_map).sum())
+    if not off:
+        return []
+    west, south, east, north = grid.bounds_m
+    reach = _FAR * max(east - west, north - south)
+    with np.errstate(invalid="ignore"):
+        away = np.maximum.reduce(
+            [west - xy_m[:, 0], xy_m[:, 0] - east, south - xy_m[:, 1], xy_m[:, 1] - north]
+        )
+    far = ~(away <= reach)
+    if far.mean() > 0.5:
+        raise InputError(_all_outside(recording, grid, int(far.sum())))
+    told = [f"{off} of {len(recording)} readings lie off the map"]
+    if far.any():
+        first = int(np.flatnonzero(far)[0])
+        where = recording.latlon if recording.xy_m is None else recording.xy_m
+        assert where is not None
+        line = f"line {recording.line[first]}" if recording.line is not None else "one"
+        told.append(
+            f"{int(far.sum())} of these are more than {_FAR:g} times the map's size away, "
+            f"{line} at {where[first][0]:.6g}, {where[first][1]:.6g}"
+        )
+    return told
+
+
+def _all_outside(recording: Recording, grid: Grid, far: int | None = None) -> str:
+    """Why no reading lies on the map, as far as can be told; or ``far`` of them nowhere near."""
+    n = len(recording)
+    message = (
+        f"all {n} readings of {recording.source} lie outside the map"
+        if far is None
+        else f"{far} of {n} readings of {recording.source} lie far from the map"
+    )
     if recording.latlon is None:
         assert recording.xy_m is not None
         lo, hi = recording.xy_m.min(axis=0), recording.xy_m.max(axis=0)
@@ -264,15 +317,29 @@ def _all_outside(recording: Recording, grid: Grid) -> str:
             f"{message}: they span x {lo[0]:.6g} to {hi[0]:.6g} and y {lo[1]:.6g} to {hi[1]:.6g} "
             "m, the map "
             f"{tuple(round(v, 1) for v in grid.bounds_m)}; check the coordinate reference system "
-            "and the box"
+            "of the recording (`recording_crs`) and the `box`"
         )
     lo, hi = recording.latlon.min(axis=0), recording.latlon.max(axis=0)
     swapped = recording.latlon[:, ::-1]
     swapped = swapped[np.abs(swapped[:, 0]) <= 90]
-    hint = "check the box, or map the recording's own area (grid_for)"
+    west, south, east, north = _map_in_degrees(grid)
+    hint = (
+        f"the map spans {south:.5f} to {north:.5f} and {west:.5f} to {east:.5f}: check the city "
+        "(`city`) and the `box`, or leave them out"
+    )
     if len(swapped) and _cells_of(grid.xy_m_at_latlon(swapped), grid)[1].any():
-        hint = "swapped, they lie on it: exchange the latitude and longitude columns"
+        hint = (
+            "swapped, they lie on it: exchange the latitude and longitude columns "
+            "(`columns=latitude=NAME,longitude=NAME`)"
+        )
     return (
         f"{message}: they span latitudes {lo[0]:.5f} to {hi[0]:.5f} and longitudes {lo[1]:.5f} to "
         f"{hi[1]:.5f}; {hint}"
     )
+
+
+def _map_in_degrees(grid: Grid) -> Bounds:
+    rows, cols = grid.shape
+    corners = grid.latlon([(0, 0), (0, cols - 1), (rows - 1, 0), (rows - 1, cols - 1)])
+    (south, west), (north, east) = corners.min(axis=0), corners.max(axis=0)
+    return float(west), float(south), float(east), float(north)

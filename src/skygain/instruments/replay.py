@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from skygain.city import City
 from skygain.ground.errors import InputError
+from skygain.instruments.asked import asked_cells, asked_uavs
 from skygain.instruments.base import Instrument
 from skygain.instruments.gridded import GriddedRecording
-from skygain.instruments.request import asked_cells, asked_uavs
 from skygain.measurements import Measurements
 from skygain.scenario import Scenario
 
@@ -124,7 +124,7 @@ def replay_scenario(
     elif city.grid != grid:
         raise InputError(
             "the recording was brought onto another grid than the city's; use "
-            "recording.on(city.grid)"
+            "on_grid(recording, city.grid)"
         )
     if reach_m is not None and not 0 <= reach_m < np.inf:
         raise InputError(

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.ground.errors import InputError
+from skygain.instruments.asked import asked_cells, asked_uavs
 from skygain.instruments.base import Instrument
-from skygain.instruments.request import asked_cells, asked_uavs
 from skygain.measurements import Measurements
 
 

@@ -129,13 +129,28 @@ class MethodRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingRequest(Request):
-    """Recording, instead of a simulated world"""
+    """Recording, instead of a simulated world
+
+    All but ``replay`` are arguments of `skygain.instruments.read_recording`, under the same names.
+    """
 
     replay: Path | None = None
-    """file of a recorded campaign"""
+    """log of a campaign: CSV and its kin, .gpkg, .geojson, .kml, .gpx, .ulg, .bin, .tlog, .p2m"""
     columns: dict[str, str] = field(default_factory=dict)
-    """columns that are not guessed right, e.g. level=RSRP,latitude=phi"""
+    """columns that are not guessed right, e.g. level=RSRP,latitude=phi; names with a comma in
+    quotation marks; level=MESSAGE.field of a flight log"""
     where: dict[str, str] = field(default_factory=dict)
-    """rows to use, e.g. PCI=A,device=Samsung"""
+    """lines to use, e.g. pci=101,device=Samsung,altitude=25..35; * for any"""
+    quantity: str | None = None
+    """what the level is: power, gain or loss; told from the column's name when left out"""
     eirp_dbm: float | None = None
     """radiated power of the transmitter: turns dBm into gain"""
+    recording_crs: str | None = None
+    """coordinate reference system of the recording's x and y, e.g. EPSG:32633; local for metres
+    of their own"""
+    level_min_db: float | None = named(None, flag="level-min")
+    """leave out lower levels, in dB or dBm, in place of what the quantity allows"""
+    level_max_db: float | None = named(None, flag="level-max")
+    """leave out higher levels"""
+    skip_bad: bool = False
+    """leave out lines that cannot be understood, and count them"""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -111,8 +113,8 @@ def test_filter_reads_only_the_lines_asked_for(csv_file):
     assert read_recording(path, where={"pci": "A"}).level_db.tolist() == [-90.0, -92.0]
     with pytest.raises(InputError, match=r"PCI=C.*'A', 'B'"):
         read_recording(path, where={"PCI": "C"})
-    with pytest.raises(InputError, match=r"no column 'cell'.*'PCI'"):
-        read_recording(path, where={"cell": "A"})
+    with pytest.raises(InputError, match=r"no column 'site'.*'PCI'"):
+        read_recording(path, where={"site": "A"})
 
 
 @pytest.mark.parametrize(
@@ -134,11 +136,11 @@ def test_loss_becomes_a_gain_and_power_with_eirp_too(csv_file):
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("x,y,path_loss\n0,0,-91\n", {}, "quantity='gain'"),
-        ("x,y,gain\n0,0,91\n", {}, "quantity='loss'"),
+        ("x,y,path_loss\n0,0,-91\n", {}, "quantity=gain"),
+        ("x,y,gain\n0,0,91\n", {}, "quantity=loss"),
         ("x,y,rsrp\n0,0,91\n", {}, "no receiver survives"),
         ("x,y,gain\n0,0,-91\n", {"eirp_dbm": 30.0}, "leave the EIRP out"),
-        ("x,y,rsrp\n0,0,-91\n", {"eirp_dbm": float("nan")}, "eirp_dbm must be"),
+        ("x,y,rsrp\n0,0,-91\n", {"eirp_dbm": float("nan")}, "eirp_dbm. must be"),
         ("x,y,rsrp\n0,0,-91\n", {"quantity": "dB"}, "'power', 'gain' or 'loss'"),
     ],
     ids=[
@@ -158,25 +160,50 @@ def test_levels_with_the_wrong_sign_or_reference(csv_file, text, options, messag
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ("36,-78,", "line 3: the level \\(rsrp\\) is '', expected a finite number"),
-        ("36,-78,NaN", "line 3: the level .* 'NaN'"),
+        ("36,-78,oops", "line 3: the level \\(rsrp\\) is 'oops', expected a finite number"),
         ("36,-78,-inf", "line 3: the level .* '-inf'"),
-        ("36,-78,2147483647", "line 3: .* beyond anything a receiver reports"),
-        ("36,-78", "line 3: the level .* ''"),
-        ("36,,-90", "line 3: the longitude .* ''"),
-        ("36,-78,-90,5", "line 3: has 4 fields, the first line has 3"),
+        ("36,-78,42 %", "line 3: the level .* '42 %'"),
+        ("36°75'N,-78,-90", "line 3: the latitude .*"),
+        ("36,-78,-90,5", "line 3: has more fields than the 3 column names"),
         ("-98.94,36,-90", "line 3: .* swapped"),
         ("36,-378,-90", "line 3: the longitude is -378"),
-        ("0,0,-90", "line 3: the position is 0, 0"),
+        ("5339495,601946,-90", "line 3: .* if these are metres"),
     ],
 )
 def test_a_bad_line_is_named_or_skipped_and_counted(csv_file, bad, message):
     good = "36,-78,-90\n"
     path = csv_file("lat,lon,rsrp\n" + good + bad + "\n" + good)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=message + r".*skip_bad=True"):
         read_recording(path)
     recording = read_recording(path, skip_bad=True)
     assert (len(recording), recording.skipped) == (2, 1)
+    assert "1 lines that cannot be understood" in recording.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("mark", "told"),
+    [
+        ("36,-78,", "the level .rsrp. has no value"),
+        ("36,-78,NaN", "has no value .'NaN' 1 times"),
+        ("36,-78,Unavailable", "'Unavailable' 1 times"),
+        ("36,-78,-", "'-' 1 times"),
+        ("36,-78", "the level .rsrp. has no value"),
+        ("36,,-90", "the longitude .lon. has no value"),
+        ("0,0,-90", "the position is 0, 0"),
+        ("36,-78,2147483647", "a mark for no value"),
+        ("36,-78,-164", "a mark for no value"),
+        ("36,-78,-340", "a mark for no value"),
+        ("36,-78,100", "a mark for no value"),
+    ],
+)
+def test_a_mark_for_no_value_is_left_out_and_told(csv_file, mark, told):
+    good = "36,-78,-90\n"
+    recording = read_recording(csv_file("lat,lon,rsrp\n" + good + mark + "\n" + good))
+    assert recording.line.tolist() == [2, 4]
+    assert recording.skipped == 0
+    (note,) = recording.notes
+    assert re.search(told, note)
+    assert "line 3" in note
 
 
 @pytest.mark.parametrize(
@@ -187,7 +214,7 @@ def test_a_bad_line_is_named_or_skipped_and_counted(csv_file, bad, message):
         (b"lat,lon,rsrp\n", "header but no readings"),
         (b"lat,lon,rsrp\n\n \n", "header but no readings"),
         (b"36,-78,-90\n36,-78,-91\n", "holds numbers"),
-        (b"lat|lon|rsrp\n36|-78|-90\n", "has 1 column"),
+        (b"lat lon rsrp\n36 -78 -90\n", "has 1 column"),
         (b"lat,lon,quality\n36,-78,9\n", "no column for the level.*'quality'"),
         (b"north,rsrp,c\n36,-78,9\n", "no pair of columns for the position.*'north'"),
         (b"lat,lat,lon,rsrp\n1,2,3,-4\n", "could each be the latitude"),
@@ -195,7 +222,7 @@ def test_a_bad_line_is_named_or_skipped_and_counted(csv_file, bad, message):
         ("lat,lon,rsrp\n36,-78,-90\n".encode("utf-16"), "UTF-16"),
         (b"PK\x03\x04\x00\x00rest of a spreadsheet", "not text"),
         (b'lat,lon,rsrp\n36,-78,"' + b"9" * 200_000, "quotation mark"),
-        (b"lat,lon,rsrp\n36,-78,oops\n36,-78,\n", "line 2"),
+        (b"lat,lon,rsrp\n36,-78,oops\n36,-78,x\n", "line 2"),
     ],
 )
 def test_files_that_are_no_campaign(csv_file, content, message):
@@ -205,7 +232,7 @@ def test_files_that_are_no_campaign(csv_file, content, message):
 
 def test_a_file_of_bad_lines_only_says_what_is_wrong_with_the_first(csv_file):
     with pytest.raises(InputError, match=r"all 2 lines .* line 2: the level"):
-        read_recording(csv_file("lat,lon,rsrp\n36,-78,oops\n36,-78,\n"), skip_bad=True)
+        read_recording(csv_file("lat,lon,rsrp\n36,-78,oops\n36,-78,x\n"), skip_bad=True)
 
 
 def test_missing_and_huge_files(csv_file, tmp_path):
@@ -232,17 +259,20 @@ def test_unusable_column_requests(csv_file):
 def test_coordinate_reference_systems(csv_file):
     pytest.importorskip("pyproj")
     metric, geographic = csv_file("x,y,rsrp\n0,0,-91\n", "m.csv"), csv_file(table(), "g.csv")
-    assert read_recording(metric, crs="EPSG:32617").crs == "EPSG:32617"
-    assert read_recording(metric, crs="local").crs is None
-    assert read_recording(geographic, crs="EPSG:4326").crs is None
+    far = csv_file("x,y,rsrp\n601946,5339495,-91\n", "f.csv")
+    assert read_recording(metric, recording_crs="EPSG:32617").crs == "EPSG:32617"
+    degrees = csv_file("x,y,rsrp\n16,48,-91\n", "d.csv")
+    assert read_recording(degrees, recording_crs="EPSG:4326").latlon.tolist() == [[48.0, 16.0]]
+    assert read_recording(metric, recording_crs="local").crs is None
+    assert read_recording(geographic, recording_crs="EPSG:4326").crs is None
     for path, crs, message in (
         (metric, "EPSG:999999", "unknown coordinate reference system"),
-        (metric, "EPSG:4326", "is in degrees"),
+        (far, "EPSG:4326", "is in degrees"),
         (metric, "EPSG:2264", "not a projection in metres"),
         (geographic, "EPSG:32617", "taken as WGS 84"),
     ):
         with pytest.raises(InputError, match=message):
-            read_recording(path, crs=crs)
+            read_recording(path, recording_crs=crs)
 
 
 @pytest.mark.parametrize(
@@ -256,7 +286,21 @@ def test_coordinate_reference_systems(csv_file):
             ("2024-05-01T12:00:00Z", "2024-05-01T12:00:01.5Z", "2024-05-01T14:00:03+02:00"),
             [0.0, 1.5, 3.0],
         ),
+        (
+            "Timestamp",
+            ("2026.05.01_10.00.00", "2026.05.01_10.00.02", "2026.05.01_10.01.00"),
+            [0.0, 2.0, 60.0],
+        ),
+        (
+            "Zeit",
+            ("01.05.2024 10:00:00", "01.05.2024 10:00:01", "02.05.2024 10:00:00"),
+            [0, 1, 86400],
+        ),
+        ("time", ("10:00:00.250", "10:00:01.000", "10:00:00.500"), [0.0, 0.75, 0.25]),
         ("time", ("noon", "later", "latest"), None),
+        ("time", ("2024-05-01T12:00:00", "", "2024-05-01T12:00:01"), None),
+        ("time", ("2024-05-01T12:00:00", "2024-05-01T12:00:01Z", "2024-05-01T12:00:01"), None),
+        ("time", ("1", "2", "-"), None),
     ],
 )
 def test_times(csv_file, column, times, expected):
@@ -267,6 +311,7 @@ def test_times(csv_file, column, times, expected):
     if expected is None:
         assert recording.time_s is None
         assert "time" not in recording.columns
+        assert f"times are not used: column '{column}'" in " ".join(recording.notes)
         with pytest.raises(InputError, match="is not time"):
             read_recording(path, columns={"time": column})
     else:

@@ -1,0 +1,218 @@
+"""Readings that stand as points in a GIS or track file: GeoPackage, GeoJSON, Shapefile, FlatGeobuf,
+KML, KMZ and GPX.
+
+Every point becomes a row: its attributes, and its latitude, longitude and altitude.
+"""
+
+from __future__ import annotations
+
+__all__ = ["POINT_SUFFIXES", "open_points"]
+
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.ground.errors import InputError, require
+from skygain.instruments.tables import Columns, Table, quoted_list
+
+_VECTOR = (".gpkg", ".geojson", ".json", ".geojsonl", ".shp", ".fgb")
+_XML = (".kml", ".kmz", ".gpx")
+POINT_SUFFIXES = (*_VECTOR, *_XML)
+"""endings of the files that are read as points"""
+
+_LARGEST_KMZ = 2_000_000_000
+
+
+def open_points(path: Path) -> Table:
+    """The points of a file as a table.
+
+    Raises:
+        InputError: the file cannot be read, or holds no points.
+    """
+    if path.suffix.lower() in _XML:
+        return _xml_table(path)
+    return _vector_table(path)
+
+
+def table_of(
+    name: str,
+    columns: dict[str, NDArray],
+    roles: dict[str, str],
+    *,
+    crs: str | None = None,
+    notes: Sequence[str] = (),
+) -> Table:
+    """A table of columns that are in memory already, numbered from 1."""
+    header = tuple(columns)
+    n = len(next(iter(columns.values()))) if columns else 0
+    values = list(columns.values())
+
+    def load(wanted: Sequence[int]) -> Columns:
+        return [values[i] for i in wanted], np.arange(1, n + 1, dtype=np.int64)
+
+    return Table(name, header, load, roles=roles, crs=crs, notes=tuple(notes))
+
+
+def _vector_table(path: Path) -> Table:
+    pyogrio = require("pyogrio", "geo")
+    shapely = require("shapely", "geo")
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    try:
+        layer, notes = _point_layer(pyogrio, path)
+        meta, _, geometry, data = pyogrio.raw.read(str(path), layer=layer)
+        points = shapely.from_wkb(geometry)
+    except (DataSourceError, DataLayerError, shapely.errors.ShapelyError, ValueError) as error:
+        raise InputError(
+            f"cannot read {path.name} as points ({str(error)[:120]}); export the readings as "
+            "GeoPackage, GeoJSON or CSV"
+        ) from error
+    single = shapely.get_type_id(points) == 4  # a multi-point of one is that point
+    if len(points):
+        points = np.where(single, shapely.get_geometry(points, 0), points)
+    usable = (shapely.get_type_id(points) == 0) & ~shapely.is_empty(points)
+    if not usable.any():
+        raise InputError(
+            f"{path.name} holds no points but {_kinds(meta)}; readings are points with a level "
+            "(buildings are given as `city`)"
+        )
+    x, y, z = shapely.get_x(points), shapely.get_y(points), shapely.get_z(points)
+    columns = {str(name): _tidy(values) for name, values in zip(meta["fields"], data, strict=True)}
+    if not usable.all():
+        notes.append(f"{int((~usable).sum())} of {len(points)} features are no points, left out")
+        columns = {name: values[usable] for name, values in columns.items()}
+        x, y, z = x[usable], y[usable], z[usable]
+    place, crs, told = _placed(x, y, meta["crs"], path)
+    columns = {n: v for n, v in columns.items() if n not in place} | place
+    if np.isfinite(z).any() and (z != 0).any() and "altitude" not in columns:
+        columns["altitude"] = z
+    roles = {name: name for name in place}
+    return table_of(path.name, columns, roles, crs=crs, notes=[*notes, *told])
+
+
+def _point_layer(pyogrio: Any, path: Path) -> tuple[str | None, list[str]]:
+    """The layer that holds points, and what to tell about the choice."""
+    layers = pyogrio.list_layers(str(path))
+    found = [name for name, kind in layers if kind and "Point" in kind]
+    if len(layers) < 2 or not found:
+        return None, []
+    if len(found) == 1:
+        return found[0], []
+    rest = quoted_list(found[1:])
+    return found[0], [f"points of layer {found[0]!r} read; {path.name} also has {rest}"]
+
+
+def _kinds(meta: Any) -> str:
+    return f"{meta.get('geometry_type') or 'other shapes'}s"
+
+
+def _tidy(values: NDArray) -> NDArray:
+    """Numbers stay numbers, dates and the rest become text; a missing text is empty."""
+    if values.dtype.kind in "iuf":
+        return values
+    if values.dtype.kind in "bM":
+        return values.astype(str).astype(object)
+    return np.array(["" if v is None else str(v) for v in values.tolist()], dtype=object)
+
+
+def _placed(
+    x: NDArray, y: NDArray, crs: str | None, path: Path
+) -> tuple[dict[str, NDArray], str | None, list[str]]:
+    """The position's columns, the CRS of x and y when they stay metres, and what was assumed."""
+    if crs is None:
+        return {"x": x, "y": y}, None, [f"{path.name} names no coordinate reference system"]
+    pyproj = require("pyproj", "geo")
+    try:
+        source = pyproj.CRS.from_user_input(crs)
+        lon, lat = pyproj.Transformer.from_crs(source, "EPSG:4326", always_xy=True).transform(x, y)
+    except pyproj.exceptions.ProjError as error:
+        raise InputError(
+            f"{path.name} is in a coordinate reference system that is not understood ({crs[:60]}); "
+            "export it in WGS 84 (EPSG:4326)"
+        ) from error
+    return {"latitude": np.asarray(lat), "longitude": np.asarray(lon)}, None, []
+
+
+def _xml_table(path: Path) -> Table:
+    """Placemarks of KML and points of GPX, with whatever is written about each."""
+    rows = _gpx_rows if path.suffix.lower() == ".gpx" else _kml_rows
+    try:
+        found = list(rows(_xml_root(path)))
+    except ElementTree.ParseError as error:
+        raise InputError(
+            f"{path.name} is no readable XML ({error}); export it again, or as CSV"
+        ) from error
+    if not found:
+        raise InputError(
+            f"{path.name} holds no points; readings are points with a level, such as placemarks "
+            "with data, or track points with extensions"
+        )
+    names = list(dict.fromkeys(name for row in found for name in row))
+    columns = {name: np.array([row.get(name, "") for row in found], dtype=object) for name in names}
+    roles = {"latitude": "latitude", "longitude": "longitude"}
+    return table_of(path.name, columns, roles)
+
+
+def _xml_root(path: Path) -> ElementTree.Element:
+    if path.suffix.lower() != ".kmz":
+        return ElementTree.fromstring(path.read_bytes())
+    try:
+        with zipfile.ZipFile(path) as archive:
+            inner = [i for i in archive.infolist() if i.filename.lower().endswith(".kml")]
+            if not inner or inner[0].file_size > _LARGEST_KMZ:
+                raise InputError(f"{path.name} holds no KML; export the readings as KML or CSV")
+            return ElementTree.fromstring(archive.read(inner[0]))
+    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
+        raise InputError(
+            f"{path.name} is no readable KMZ ({error}); export the readings as KML or CSV"
+        ) from error
+
+
+def _local(element: ElementTree.Element) -> str:
+    return str(element.tag).rpartition("}")[2]
+
+
+def _text(element: ElementTree.Element) -> str:
+    return (element.text or "").strip()
+
+
+def _kml_rows(root: ElementTree.Element) -> Iterator[dict[str, str]]:
+    for mark in root.iter():
+        if _local(mark) != "Placemark":
+            continue
+        row: dict[str, str] = {}
+        place = ""
+        for element in mark.iter():
+            tag = _local(element)
+            if tag == "Point":
+                place = next((_text(e) for e in element.iter() if _local(e) == "coordinates"), "")
+            elif tag in ("name", "when") and _text(element):
+                row.setdefault(tag if tag == "name" else "time", _text(element))
+            elif tag == "Data":
+                value = next((_text(e) for e in element if _local(e) == "value"), "")
+                row[element.get("name", "")] = value
+            elif tag == "SimpleData":
+                row[element.get("name", "")] = _text(element)
+        parts = place.split(",")
+        if len(parts) >= 2:
+            row |= {"longitude": parts[0].strip(), "latitude": parts[1].strip()}
+            if len(parts) > 2 and parts[2].strip() not in ("", "0"):
+                row["altitude"] = parts[2].strip()
+            yield row
+
+
+def _gpx_rows(root: ElementTree.Element) -> Iterator[dict[str, str]]:
+    for point in root.iter():
+        if _local(point) not in ("wpt", "trkpt", "rtept"):
+            continue
+        row = {"latitude": point.get("lat", ""), "longitude": point.get("lon", "")}
+        for element in point.iter():
+            tag = _local(element)
+            if element is not point and len(element) == 0 and _text(element):
+                row.setdefault({"ele": "altitude"}.get(tag, tag), _text(element))
+        yield row
