@@ -28,6 +28,7 @@ from skygain.ground.errors import require
 from skygain.instruments import (
     GriddedRecording,
     ReplayInstrument,
+    on_grid,
     read_recording,
     replay_scenario,
     replay_truth,
@@ -116,7 +117,8 @@ def open_series(path: Path) -> list[Series]:
     found = []
     for pci, frequency_hz in FREQUENCY_HZ.items():
         for device in DEVICES:
-            gridded = read_recording(path, where={"PCI": pci, "device": device}).on(grid)
+            recording = read_recording(path, where={"PCI": pci, "device": device})
+            gridded = on_grid(recording, grid)
             scenario = replay_scenario(
                 gridded,
                 uav_altitude_m=PHONE_HEIGHT_M,

@@ -78,8 +78,9 @@ def read_recording(
             into a gain.
         eirp_dbm: radiated power of the transmitter towards the receiver, antenna gains included;
             gain = power − EIRP. Without it a power stays a power.
-        recording_crs: coordinate reference system of x and y, e.g. ``"EPSG:32617"``; ``"local"`` says that
-            they are metres in a frame of their own, as they are taken to be when left out.
+        recording_crs: coordinate reference system of x and y, e.g. ``"EPSG:32617"``; ``"local"``
+            says that they are metres in a frame of their own, as they are taken to be when left
+            out.
         skip_bad: leave out lines that cannot be understood and count them, instead of refusing the
             file. Lines with a mark for no value are left out and counted in any case.
         level_min_db: lowest level to read, in place of what the quantity allows.
