@@ -146,7 +146,7 @@ def refuse_series(
 
 def _places(place_m: NDArray[np.float64]) -> NDArray[np.int64]:
     """``[n]`` number of the square that each reading lies in."""
-    square = np.floor((place_m - place_m.min(axis=0)) / _PLACE_M)
+    square = np.floor(np.clip(place_m - place_m.min(axis=0), 0, 1e9) / _PLACE_M)
     key = square[:, 0] * (square[:, 1].max() + 1.0) + square[:, 1]
     return np.unique(key, return_inverse=True)[1].ravel()
 
