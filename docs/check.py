@@ -30,12 +30,7 @@ MODULE = re.compile(r"\bskygain(?:\.[A-Za-z_]\w*)+")
 PATH = re.compile(r"(?<![\w./-])(?:src/skygain|benchmarks|docs|tests|examples)/[\w./-]*\w")
 COLUMNS = 100
 WIDE = {
-    "cities.md",
-    "datasets.md",
-    "deep-predictors.md",
     "evaluation.md",
-    "kriging.md",
-    "learned-planners.md",
 }
 """pages whose lines are not wrapped yet"""
 
