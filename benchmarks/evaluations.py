@@ -17,6 +17,7 @@ from benchmarks.study import JOURNALS, Option, Run, machine, study
 
 LIST = Path(__file__).with_name("evaluations.toml")
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
+COMMAND_LINE = "from skygain.app.cli import main; main()"
 STEPS = (50, 100, 200)
 SCORES = ("rmse_db", "rmse_ray_traced_db", "rmse_rest_db", "coverage90")
 
@@ -85,7 +86,7 @@ def evaluations(run: Run) -> list[Table]:
         numbers: dict[str, Any] = {}
         for title, arguments in parts(name).items():
             folder = JOURNALS / name / title.replace(" ", "-").replace(",", "")
-            words = [str(Path(sys.executable).with_name("skygain")), "evaluate"]
+            words = [sys.executable, "-c", COMMAND_LINE, "evaluate"]
             words += ["--data", str(run.data), "--out", str(folder), *arguments]
             subprocess.run([*words, *shlex.split(run.options.extra)], check=True)
             found = json.loads((folder / "results.json").read_text(encoding="utf-8"))

@@ -75,3 +75,10 @@ def test_a_trend_of_two_coefficients_is_refused():
     for name in MODULES:
         with pytest.raises(InputError, match="1 coefficient"):
             create_predictor(name, parameters=line)
+
+
+def test_without_a_nugget_exact_readings_are_reproduced(name, rng):
+    scenario, data = _readings(rng, 30)
+    smooth = KrigingParameters.known_trend(-110.0, sill_db2=380.0, range_m=57.0)
+    mean, _ = _answer(create_predictor(name, parameters=smooth), scenario, data)
+    assert np.abs(mean[tuple(data.cell.T)] - data.gain_db).max() < 1e-2

@@ -54,8 +54,8 @@ def _model(xy: Any, gain: Any, noise: Any, told: ExponentialKernel | None) -> An
 
 
 def _nugget(model: Any) -> float:
-    shared = getattr(model.likelihood, "second_noise", None)
-    return 0.0 if shared is None else float(shared.detach())
+    shared = getattr(model.likelihood, "second_noise", 0.0)  # a plain 0 where none was asked for
+    return float(shared.detach() if hasattr(shared, "detach") else shared)
 
 
 def _fit(model: Any, xy: Any, gain: Any) -> None:
