@@ -30,6 +30,15 @@ def test_copies_of_a_survey_in_its_city_add_no_certainty(rng: np.random.Generato
     assert (many.low, many.high) == pytest.approx((once.low, once.high))
 
 
+def test_one_city_has_a_mean_and_no_interval() -> None:
+    """Its surveys say nothing about other cities; a width of zero would claim certainty."""
+    interval = bootstrap_mean([3.0, 5.0], [4, 4])
+    assert interval.mean == 4.0
+    assert math.isnan(interval.low)
+    assert math.isnan(interval.high)
+    assert str(interval) == "4.00 [–]"
+
+
 def test_weights_sum_to_one_and_keep_cities_together() -> None:
     weights = city_weights([0, 0, 1, 2], resamples=50)
     assert np.allclose(weights.sum(axis=1), 1)

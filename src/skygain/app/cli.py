@@ -146,7 +146,7 @@ def _command(name: str, request: type[Request]) -> click.Command:
 
 def _serve(label: str, request: type[Request], /, config: Path | None = None, **given: Any) -> None:
     """Make the request, once, and have it served."""
-    from skygain.app.progress import progress
+    from skygain.app.progress import shown_progress
 
     fields = {one.name: one for one in request.asked()}
     try:
@@ -157,7 +157,7 @@ def _serve(label: str, request: type[Request], /, config: Path | None = None, **
         asked = request.of(values)
         module, _, function = request.runs.partition(":")
         run = getattr(importlib.import_module(module), function)
-        with progress(label) as tell:
+        with shown_progress(label) as tell:
             told = run(asked, tell)
     except InputError as error:
         raise InputError(for_command_line(str(error), request)) from error

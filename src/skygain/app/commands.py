@@ -24,13 +24,14 @@ def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
     from skygain.datasets.builder import build_dataset
     from skygain.datasets.summary import describe_dataset
 
+    progress.phase("tracing cities")
     build_dataset(
         request.preset,
         request.out,
         workers=request.workers,
         resume=request.resume,
         propagation=request.propagation,
-        progress=lambda done, total, _left: progress(done, total, ""),
+        progress=lambda done, total, _left: progress(done, total),
     )
     return describe_dataset(request.out)
 

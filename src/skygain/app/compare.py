@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["run_comparison"]
 
-from skygain.app.progress import Progress
+from skygain.app.progress import SILENT, Progress
 from skygain.evaluation.comparison import compare
 from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.tables import comparison_json, comparison_markdown, curve_intervals
@@ -12,7 +12,7 @@ from skygain.ground.files import atomic_write
 from skygain.ground.strict_json import json_text
 
 
-def run_comparison(request: EvaluateRequest, progress: Progress | None = None) -> str:
+def run_comparison(request: EvaluateRequest, progress: Progress = SILENT) -> str:
     """Compare, write ``results.json``, ``table.md`` and ``rmse_vs_steps.png``, and return the table
     as Markdown.
 
@@ -21,11 +21,18 @@ def run_comparison(request: EvaluateRequest, progress: Progress | None = None) -
     """
     from skygain.reports.pictures import rmse_curves
 
+    progress.phase("flying")
     comparison = compare(request, progress)
+    progress.phase("resampling cities for the tables")
     table = comparison_markdown(comparison)
     results = comparison_json(comparison) | {"table": table}
     for name, text in (("results.json", json_text(results)), ("table.md", table)):
         with atomic_write(request.out / name) as path:
             path.write_text(text, encoding="utf-8")
-    rmse_curves(curve_intervals(comparison), request.out / "rmse_vs_steps.png")
+    flown = f"{len(comparison.cities)} surveys in {len(set(comparison.cities.tolist()))} cities"
+    rmse_curves(
+        curve_intervals(comparison),
+        request.out / "rmse_vs_steps.png",
+        title=f"Error against steps, {flown} of {request.split}",
+    )
     return table

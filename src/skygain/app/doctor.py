@@ -17,7 +17,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
-from skygain.app.progress import Progress
+from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import DoctorRequest
 
 OLDEST_PYTHON = (3, 11)
@@ -75,7 +75,7 @@ class Check:
     """what to do about it, empty when nothing is needed"""
 
 
-def run_doctor(request: DoctorRequest, progress: Progress | None = None) -> str:
+def run_doctor(request: DoctorRequest, progress: Progress = SILENT) -> str:
     """The text for the terminal; ends the process with code 1 where something is broken (a missing
     optional feature is not broken)."""
     checks = diagnose()

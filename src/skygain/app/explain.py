@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
-from skygain.app.progress import Progress
+from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import MethodsRequest
 from skygain.ground.errors import InputError, did_you_mean
 from skygain.planners import PLANNERS
@@ -21,7 +21,7 @@ from skygain.survey.methods import options_of
 _REGISTRIES = (PREDICTORS, PLANNERS, PROPAGATION)
 
 
-def run_methods(request: MethodsRequest, progress: Progress | None = None) -> str:
+def run_methods(request: MethodsRequest, progress: Progress = SILENT) -> str:
     """All names by kind, or one of them explained.
 
     Raises:

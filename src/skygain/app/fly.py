@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.app.progress import Progress
+from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import SurveyRequest
 from skygain.evaluation.rollout import Recorder
 from skygain.flight.starts import start_cells
 from skygain.flight.swarm import Swarm
+from skygain.ground.compiling import on_compiling
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.ground.files import writable_folder
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from skygain.predictors.base import Predictor
 
 
-def run_survey(request: SurveyRequest, progress: Progress | None = None) -> str:
+def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
     """Fly the survey and write its folder: results, measurements, maps, pictures and report.
 
     Everything is checked before the flight; the files appear together at the end. An interrupt ends
@@ -53,35 +54,45 @@ def run_survey(request: SurveyRequest, progress: Progress | None = None) -> str:
         )
     writable_folder(out)
     outcome = fly(request, progress)
+    progress.phase("writing")
     notes = outcome.write(out)
     return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
 
 
-def fly(request: SurveyRequest, progress: Progress | None = None) -> Flown:
+def fly(request: SurveyRequest, progress: Progress = SILENT) -> Flown:
     """Fly the survey that was asked for; nothing is written.
 
     Raises:
         InputError: anything about the request that the user can put right.
     """
+    progress.phase("loading the method")
     method = MethodSpec(request.predictor, request.planner)
     predictor, planner = method.build_predictor(), method.build_planner()
     setting_seed, start_seed, planner_seed = np.random.SeedSequence(request.seed).spawn(3)
-    setting = _recorded(request) if request.replay else _simulated(request, setting_seed)
+    setting = (
+        _recorded(request, progress)
+        if request.replay
+        else _simulated(request, setting_seed, progress)
+    )
     scenario = method.visible(setting.scenario, predictor)
     _need_transmitter(scenario, predictor, request)
     cells = start_cells(request.start, scenario, request.uavs, np.random.default_rng(start_seed))
     swarm = Swarm.deployed(scenario, cells, request.steps, request.rules)
 
     def told(step: int, scores: dict[str, float]) -> None:
-        if progress:
-            known = np.isfinite(scores.get("rmse_db", np.nan))
-            progress(step, request.steps, f"RMSE {scores['rmse_db']:.1f} dB" if known else "")
+        known = np.isfinite(scores.get("rmse_db", np.nan))
+        progress(step, request.steps, f"RMSE {scores['rmse_db']:.1f} dB" if known else "")
+
+    def compiling(now: bool) -> None:
+        progress.phase("compiling a kernel, once" if now else "flying")
 
     record = frozenset(range(0, request.steps + 1, request.record_every))
     recorder = Recorder(record, setting.truth_db, setting.ray_traced, keep_maps=True, on_step=told)
     config = SurveyConfig(stop_std_db=request.stop_std_db)
     survey = Survey(scenario, predictor, planner, setting.instrument, config)
-    result = survey.fly(swarm, np.random.default_rng(planner_seed), recorder)
+    progress.phase("flying")
+    with on_compiling(compiling):
+        result = survey.fly(swarm, np.random.default_rng(planner_seed), recorder)
     recorder.take(result.swarm.steps_flown, result.swarm, result.belief)
     return Flown(
         result,
@@ -107,10 +118,15 @@ class _Setting:
     level_label: str = "channel gain in dB"
 
 
-def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Setting:
+def _simulated(
+    request: SurveyRequest, seeds: np.random.SeedSequence, progress: Progress
+) -> _Setting:
     world_seed, noise_seed = seeds.spawn(2)
     world = open_world(
-        request, altitude_m=request.altitude_m, rng=np.random.default_rng(world_seed)
+        request,
+        altitude_m=request.altitude_m,
+        rng=np.random.default_rng(world_seed),
+        told=progress.phase,
     )
     return _Setting(
         world.scenario(),
@@ -122,15 +138,17 @@ def _simulated(request: SurveyRequest, seeds: np.random.SeedSequence) -> _Settin
     )
 
 
-def _recorded(request: SurveyRequest) -> _Setting:
+def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     from skygain.instruments.gridded import grid_for, on_grid
     from skygain.instruments.reading import read_recording
     from skygain.instruments.replay import ReplayInstrument, replay_scenario, replay_truth
 
+    progress.phase("reading the recording")
     options = part(request, RecordingRequest)
     recording = read_recording(options.pop("replay"), **options)
     city = None
     if request.city is not None:
+        progress.phase("reading the city")
         from skygain.cities import read_city
 
         options = part(request, CityRequest)

@@ -22,12 +22,18 @@ class Interval:
     mean: float
     """over surveys"""
     low: float
-    """2.5 % quantile over resampled cities"""
+    """2.5 % quantile over resampled cities, NaN for a single city"""
     high: float
     """97.5 % quantile"""
 
     def __str__(self) -> str:
-        return f"{self.mean:.2f} [{self.low:.2f}, {self.high:.2f}]"
+        return self.text()
+
+    def text(self, style: str = ".2f") -> str:
+        """As tables print it; a dash stands for bounds that one city cannot give."""
+        if np.isnan(self.low):
+            return f"{self.mean:{style}} [–]"
+        return f"{self.mean:{style}} [{self.low:{style}}, {self.high:{style}}]"
 
 
 def city_weights(cities: ArrayLike, resamples: int = 4000, seed: int = 0) -> NDArray[np.float64]:
@@ -45,15 +51,19 @@ def bootstrap_mean(
     values: ArrayLike, cities: ArrayLike, *, resamples: int = 4000, seed: int = 0
 ) -> Interval:
     """Mean of ``values[survey]`` with its 95 % interval, drawing ``cities[survey]`` with
-    replacement; NaN values are left out.
+    replacement; NaN values are left out. One city says nothing about others: its bounds are NaN.
 
     >>> bootstrap_mean([1.0, 1.0, 1.0], [0, 1, 1])
     Interval(mean=1.0, low=1.0, high=1.0)
+    >>> print(bootstrap_mean([1.0, 2.0], [7, 7]))
+    1.50 [–]
     """
     values, cities = np.asarray(values, dtype=float), np.asarray(cities)
     kept = np.isfinite(values)
     if not kept.any():
         return Interval(np.nan, np.nan, np.nan)
+    if len(np.unique(cities[kept])) < 2:
+        return Interval(float(values[kept].mean()), np.nan, np.nan)
     means = city_weights(cities[kept], resamples, seed) @ values[kept]
     low, high = np.quantile(means, [0.025, 0.975])
     return Interval(float(values[kept].mean()), float(low), float(high))

@@ -218,7 +218,7 @@ def _paired_planners(
 
 
 def _signed(interval: Interval) -> str:
-    return f"{interval.mean:+.2f} [{interval.low:+.2f}, {interval.high:+.2f}]"
+    return interval.text("+.2f")
 
 
 def _times(ratio: float) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 __all__ = ["Observer", "StepRecord", "Survey", "SurveyConfig", "SurveyResult", "delays_ms"]
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skygain.flight.swarm import Swarm
+from skygain.ground.compiling import Stopwatch
 from skygain.ground.errors import InputError
 from skygain.ground.shown import Shown
 from skygain.instruments.base import Instrument
@@ -59,12 +59,12 @@ class StepRecord:
     readings: int
     """readings taken at this step"""
     planning_s: float
-    """wall time of the decision made before this step, 0 when an earlier plan was still being
-    flown"""
+    """wall time of the decision made before this step, without compiling; 0 when an earlier plan
+    was still being flown"""
     planned_steps: int
     """steps that decision planned, 0 when none was made"""
     updating_s: float
-    """wall time of the belief's update"""
+    """wall time of the belief's update, without compiling"""
     certificate: Certificate | None = None
     """of the plan made before this step"""
 
@@ -245,19 +245,17 @@ class Survey:
         new = tape.readings(
             lambda: self.instrument.measure(swarm.cells[uav], uav=uav, time_s=time_s)
         )
-        began = time.perf_counter()
+        watch = Stopwatch()
         belief = belief.updated(new)
-        record = StepRecord(
-            step, len(new), planning_s, planned_steps, time.perf_counter() - began, certificate
-        )
+        record = StepRecord(step, len(new), planning_s, planned_steps, watch.seconds, certificate)
         return belief, readings.extended(new), record
 
     def _planned(
         self, swarm: Swarm, belief: Belief, rng: np.random.Generator
     ) -> tuple[Plan, float]:
-        began = time.perf_counter()
+        watch = Stopwatch()
         plan = self.planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
-        return plan, time.perf_counter() - began
+        return plan, watch.seconds
 
     def _certain(self, belief: Belief, step: int) -> bool:
         if self.config.stop_std_db is None or step % self.config.stop_every:

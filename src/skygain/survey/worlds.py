@@ -9,6 +9,8 @@ from __future__ import annotations
 
 __all__ = ["World", "open_world", "parse_position", "simulated_instrument"]
 
+import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -129,9 +131,17 @@ def _dataset_and_link(spec: str) -> tuple[ChannelDataset, int | None] | None:
     number = int(tail) if tail else None
     if name == "sample":
         return open_sample(), number
-    if name.endswith(".zarr.zip"):
-        return ChannelDataset.open(Path(name)), number
+    if name.endswith(".zarr.zip") or _holds_zarr(name):
+        return ChannelDataset.open(name), number
     return None
+
+
+def _holds_zarr(name: str) -> bool:
+    """Whether ``name`` is a zip with a data set in it, however it is called."""
+    if not name.endswith(".zip") or not zipfile.is_zipfile(name):
+        return False
+    with zipfile.ZipFile(name) as archive:
+        return "zarr.json" in archive.namelist()
 
 
 def _dataset_world(
@@ -173,6 +183,7 @@ def open_world(
     *,
     altitude_m: float = 10.0,
     rng: np.random.Generator | int = 0,
+    told: Callable[[str], None] = lambda phase: None,
 ) -> World:
     """The world that ``place`` asks for, with the truth at one altitude.
 
@@ -181,6 +192,7 @@ def open_world(
             packaged sample.
         altitude_m: altitude of the truth.
         rng: draws the window, the transmitter, the link; a number is a seed.
+        told: hears what is done next.
 
     Raises:
         InputError: see `skygain.cities.read_city`; the transmitter is indoors; the data set has no
@@ -190,6 +202,7 @@ def open_world(
         place = PlaceRequest(city=place)
     rng = np.random.default_rng(rng)
     spec = place.city or "sample"
+    told("reading the city")
     found = _dataset_and_link(spec)
     if found is not None:
         if place.transmitter != "random":
@@ -222,6 +235,7 @@ def open_world(
         side = 0 if Path(spec).suffix else PROTOCOL_CROP
     row, col, window = _crop_corner(city.grid.shape, side, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
+    told(f"computing the truth ({place.propagation})")
     where = (city, np.array([position]), [altitude_m])
     seed, traced = int(rng.integers(2**31)), None
     if place.propagation == "union":
