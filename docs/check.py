@@ -29,10 +29,6 @@ SPAN = re.compile(r"`([^`]+)`")
 MODULE = re.compile(r"\bskygain(?:\.[A-Za-z_]\w*)+")
 PATH = re.compile(r"(?<![\w./-])(?:src/skygain|benchmarks|docs|tests|examples)/[\w./-]*\w")
 COLUMNS = 100
-WIDE = {
-    "evaluation.md",
-}
-"""pages whose lines are not wrapped yet"""
 
 
 def code(text: str) -> Iterator[str]:
@@ -150,7 +146,7 @@ def page_problems(page: Path) -> Iterator[str]:
     if page.name != "CHANGELOG.md":
         yield from wrong_commands(text)
         yield from wrong_names(text)
-        yield from () if page.name in WIDE else long_lines(text)
+        yield from long_lines(text)
 
 
 def source_problems(module: Path) -> Iterator[str]:
