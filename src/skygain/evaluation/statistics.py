@@ -1,8 +1,7 @@
 """Intervals for means over surveys, by resampling cities.
 
-Surveys in one city share buildings, so cities, not surveys, are what is drawn with replacement (a
-cluster bootstrap). Comparisons
-are paired: the difference is taken survey by survey before anything is averaged.
+Surveys in one city share its buildings, so whole cities are drawn with replacement (a cluster
+bootstrap). Comparisons are paired: the difference is taken survey by survey, then averaged.
 """
 
 from __future__ import annotations
