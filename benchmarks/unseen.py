@@ -27,9 +27,9 @@ OPEN_SHARE, BUILT_SHARE = 0.3, 0.1
 KEYS = ("rmse_db", "rmse_ray_traced_db", "gof", "coverage90")
 
 
-def window(scene: str, number: int, samples: int) -> dict[str, Any]:
+def window(scene: str, number: int) -> dict[str, Any]:
     """City heights, transmitter and truth of one window, from the cache if it was traced before."""
-    path = runs_folder().parent / "unseen" / f"{scene}-{number}-{samples}.npz"
+    path = runs_folder().parent / "unseen" / f"{scene}-{number}.npz"
     if path.exists():
         with np.load(path) as found:
             return dict(found)
@@ -47,7 +47,7 @@ def window(scene: str, number: int, samples: int) -> dict[str, Any]:
     open_cells = np.argwhere(height <= 0)
     x, y = city.grid.xy_m(open_cells[rng.integers(len(open_cells))])
     transmitter = np.array([float(x), float(y), 1.5])
-    truth = trace_truth(city, [transmitter], [ALTITUDE_M], samples=samples, seed=number)
+    truth = trace_truth(city, [transmitter], [ALTITUDE_M])
     found = {
         "height_m": height[inner],
         "gain_db": truth.gain_db[0, 0][inner],
@@ -86,7 +86,6 @@ def fly(found: dict[str, Any], name: str, number: int, steps: tuple[int, ...]) -
     "unseen_cities",
     predictors=Option(("kriging", "operator", "operator+tx"), "predictors"),
     windows=Option(10, "windows of each scene"),
-    samples=Option(10_000_000, "rays per transmitter"),
     steps=Option((0, 50, 100, 200), "steps at which scores are taken"),
 )
 def unseen_cities(run: Run) -> list[Table]:
@@ -101,8 +100,8 @@ def unseen_cities(run: Run) -> list[Table]:
         for name in o.predictors:
             scores = [
                 run.once(
-                    (scene, number, name, o.samples, *o.steps),
-                    lambda s=scene, k=number, n=name: fly(window(s, k, o.samples), n, k, o.steps),
+                    (scene, number, name, *o.steps),
+                    lambda s=scene, k=number, n=name: fly(window(s, k), n, k, o.steps),
                 )
                 for number in range(o.windows)
             ]
@@ -118,8 +117,8 @@ def unseen_cities(run: Run) -> list[Table]:
                 ]
             )
     title = (
-        f"{o.windows} windows of each scene, 96 × 96 cells of 4 m at 10 m, "
-        f"{o.samples / 1e6:g} M rays, random waypoints, 3 UAVs, cluster start; RMSE in dB over "
+        f"{o.windows} windows of each scene, 96 × 96 cells of 4 m at 10 m, random "
+        f"waypoints, 3 UAVs, cluster start; RMSE in dB over "
         "unvisited outdoor cells, mean over windows."
     )
     head = ["scene", "predictor", *(f"T={t}" for t in o.steps), f"ray-traced, T={o.steps[-1]}"]
