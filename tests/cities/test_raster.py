@@ -81,10 +81,8 @@ def test_a_saved_city_comes_back(tmp_path: Path, crs: str | None) -> None:
 
 
 def test_saving_where_one_cannot_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="writable"):
-        save_heights(manhattan_city(0), tmp_path / "none" / "m.tif")
     (tmp_path / "taken.tif").mkdir()
-    with pytest.raises(InputError, match="writable"):
+    with pytest.raises(InputError, match="cannot write"):
         save_heights(manhattan_city(0), tmp_path / "taken.tif")
     assert [p.name for p in tmp_path.iterdir()] == ["taken.tif"]
 

@@ -1,16 +1,13 @@
 """Links as arrays: windows turn with their transmitter, several data sets are one."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import skygain
 from skygain.datasets.links import joined, load_links
+from skygain.datasets.sample import SAMPLE
 from skygain.ground.errors import InputError
-
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 
 
 def test_a_view_turns_map_and_transmitterjoined():

@@ -1,20 +1,16 @@
 """The judge: PyTorch's twin of the network in use, and its training."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
-import skygain
+from skygain.datasets.sample import SAMPLE
 from skygain.ground.errors import InputError
 from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.judge import INPUTS, CandidateJudge
 from skygain.networks.weights import find_weights
 from skygain.training import train_predictor
 from skygain.training.judge import JudgeNetwork
-
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 
 
 def test_numpy_and_pytorch_judge_alike(tmp_path, rng):
@@ -46,5 +42,5 @@ def test_training_flies_once_and_lowers_the_error(tmp_path):
     assert losses[-1] < losses[0]
     assert set(first.scores) == {"cross_entropy", "rmse_db", "rmse_of_nearest_db"}
     assert CandidateJudge.load(tmp_path / "b" / "judge.safetensors").linear.shape == (INPUTS,)
-    with pytest.raises(InputError, match="no setting 'finish_steps'"):
+    with pytest.raises(InputError, match="no setting `finish_steps`"):
         train_predictor("judge", SAMPLE, tmp_path, finish_steps=3)

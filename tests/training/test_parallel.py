@@ -2,20 +2,18 @@
 
 import contextlib
 import copy
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-import skygain
 from skygain.datasets.links import load_links
+from skygain.datasets.sample import SAMPLE
 from skygain.networks.operator.network import OperatorConfig
 from skygain.training.parallel import Shares
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.unets import DirectTask, PaperTask
 
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
 
 

@@ -1,16 +1,12 @@
 """Training the cheap gain model of one path."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
-import skygain
+from skygain.datasets.sample import SAMPLE
 from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.operator.path_model import PathModel
 from skygain.training import train_predictor
-
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 
 
 def test_training_writes_a_file_that_loads(tmp_path):

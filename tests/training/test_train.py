@@ -1,14 +1,13 @@
 """Training is repeatable and resumes to the same bytes."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-import skygain
 from skygain.datasets.links import load_links
+from skygain.datasets.sample import SAMPLE
 from skygain.ground.errors import InputError
 from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.operator.network import OperatorConfig
@@ -16,7 +15,6 @@ from skygain.training import train_predictor
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.unets import DirectTask
 
-SAMPLE = Path(skygain.__file__).parent / "data" / "sample.zarr.zip"
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
 QUICK = {
     "task": OperatorTask(side=32, net=SMALL),

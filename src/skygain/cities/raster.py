@@ -9,7 +9,6 @@ from __future__ import annotations
 
 __all__ = ["SUFFIXES", "read_raster", "save_heights", "terrain_on"]
 
-import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,6 +45,7 @@ from skygain.frames import (
 )
 from skygain.grid import Grid
 from skygain.ground.errors import InputError, require
+from skygain.ground.files import atomic_write
 
 SUFFIXES = (".tif", ".tiff")
 """endings of files that are read"""
@@ -172,16 +172,8 @@ def save_heights(city: City, path: str | Path) -> None:
             sink.units = ("metre",)
             sink.set_band_description(1, "building height above ground")
         content = bytes(memory.getbuffer())
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with atomic_write(path) as partial:
         partial.write_bytes(content)
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(
-            f"cannot write {str(path)!r} ({error.strerror}); choose a folder that exists and is "
-            "writable"
-        ) from error
 
 
 @contextmanager

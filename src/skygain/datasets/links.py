@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.datasets.layout import SPLITS
+from skygain.datasets.sample import SAMPLE
 from skygain.datasets.store import ChannelDataset
 from skygain.grid import SYMMETRIES, random_corner, turned, turned_cells
 from skygain.ground.errors import InputError
 
 Paths = str | Path | Sequence[str | Path]
-"""one data set or several, by path"""
+"""one data set or several: paths, or ``"sample"`` for the one that ships with the package"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,8 @@ def load_links(paths: Paths, split: str) -> Links:
 
 def several_paths(paths: Paths) -> list[Path]:
     """One data set or several, as a list."""
-    return [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    several = [paths] if isinstance(paths, str | Path) else paths
+    return [SAMPLE if path == "sample" else Path(path) for path in several]
 
 
 def read_links(path: Path, split: str) -> Links | None:

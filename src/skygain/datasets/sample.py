@@ -6,12 +6,15 @@ src/skygain/data/sample.zarr.zip --no-resume``.
 
 from __future__ import annotations
 
-__all__ = ["open_sample"]
+__all__ = ["SAMPLE", "open_sample"]
 
 from importlib.resources import files
 from pathlib import Path
 
 from skygain.datasets.store import ChannelDataset
+
+SAMPLE = Path(str(files("skygain") / "data" / "sample.zarr.zip"))
+"""the file"""
 
 
 def open_sample() -> ChannelDataset:
@@ -21,4 +24,4 @@ def open_sample() -> ChannelDataset:
     >>> dataset.splits
     ('T1', 'T2', 'T3', 'T4')
     """
-    return ChannelDataset.open(Path(str(files("skygain") / "data" / "sample.zarr.zip")))
+    return ChannelDataset.open(SAMPLE)

@@ -149,11 +149,6 @@ class SurveyBatch:
         """``[survey]`` where the UAVs are now."""
         return [lane.swarm for lane in self._lanes]
 
-    @property
-    def readings_db(self) -> NDArray[np.float32]:
-        """``[survey, uav]`` the gain where each UAV is."""
-        return np.stack([lane.world.truth_db[tuple(lane.swarm.cells.T)] for lane in self._lanes])
-
     def observations(self) -> NDArray[np.float32]:
         """``[survey, uav, plane, row, col]``, see `skygain.networks.policies.planes`."""
         n = self.config.n_uavs

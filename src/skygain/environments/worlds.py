@@ -6,7 +6,6 @@ __all__ = ["LinkWorlds", "Episode", "Worlds"]
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.resources import files
 from typing import Protocol
 
 import numpy as np
@@ -75,12 +74,7 @@ class LinkWorlds:
 
     @cached_property
     def _links(self) -> Links:
-        path = (
-            str(files("skygain") / "data" / "sample.zarr.zip")
-            if self.data == "sample"
-            else self.data
-        )
-        return load_links(path, self.split)
+        return load_links(self.data, self.split)
 
     def draw(self, rng: np.random.Generator, n_uavs: int) -> Episode:
         """See `Worlds`.

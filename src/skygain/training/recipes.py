@@ -123,6 +123,6 @@ def settled(
         raise InputError(f"unknown {kind} {name!r}; known: {', '.join(sorted(recipes))}")
     known = {f.name for f in fields(recipes[name])}  # type: ignore[arg-type]
     if unknown := sorted(changes.keys() - known):
-        raise InputError(f"the recipe {name!r} has no setting {unknown[0]!r}; leave it out")
+        raise InputError(f"the recipe {name!r} has no setting `{unknown[0]}`; leave it out")
     folder = runs_folder() / name if out is None else Path(out)
     return replace(recipes[name], out=str(folder), **changes)  # type: ignore[type-var]

@@ -24,7 +24,6 @@ def flown(tmp_path, rng):
         before = {
             "obs": surveys.observations(),
             "masks": surveys.masks(),
-            "readings": surveys.readings_db,
         }
         replay.remember(surveys, np.full((2, 2), -1))
         step = surveys.step(moves)
@@ -71,12 +70,6 @@ def test_what_was_seen_comes_back(flown):
             assert (seen.left == STEPS - row % STEPS).all()
 
 
-def test_measured_values_are_stored(flown):
-    replay, diary = flown
-    for row in (0, 7):
-        assert np.array_equal(replay._files["measured_db"][:, row], diary[row]["readings"])
-
-
 def test_a_full_ring_forgets_the_oldest_and_keeps_the_guard(tmp_path):
     config = ReplayConfig(lanes=1, n_uavs=1, side=8, steps=STEPS, capacity=6, guard=4)
     surveys = SurveyBatch(LinkWorlds(side=32), None, EnvironmentConfig(1, STEPS), 1)
@@ -103,6 +96,6 @@ def test_a_full_ring_forgets_the_oldest_and_keeps_the_guard(tmp_path):
 
 def test_bytes_per_transition_at_full_size():
     config = ReplayConfig(lanes=8, n_uavs=3, side=96, steps=200, capacity=60_000)
-    per_joint_step = 2 * 96 * 96 + 3 * (4 + 1 + 1 + 4 + 4) + 4 + 2 + 1
+    per_joint_step = 2 * 96 * 96 + 3 * (4 + 1 + 1 + 4) + 4 + 2 + 1
     heights = config.episodes * 2 * 96 * 96 / config.slots
     assert (per_joint_step + heights) / 3 < 6300

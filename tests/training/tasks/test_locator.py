@@ -14,6 +14,7 @@ from skygain.ground.errors import InputError
 from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.evidence import CHANNELS
 from skygain.networks.operator.path_model import USED
+from skygain.training.pools import flown_cities
 from skygain.training.tasks.locator import LocatorTask
 
 
@@ -91,3 +92,25 @@ def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(tmp_path, 
         "log_near",
         "distance_m",
     }
+
+
+def test_a_pool_is_the_same_with_any_number_of_workers(tmp_path, cities):
+    path_model(tmp_path / "paths.safetensors", 0)
+    task = LocatorTask(side=32, flights=1, paths=str(tmp_path / "paths.safetensors"))
+    one, two = (
+        flown_cities(
+            "locator-pool",
+            cities,
+            "T1",
+            task.fly_city,
+            weights=(task.paths,),
+            settings=None,
+            stream=lambda path, city: [city],
+            pool=tmp_path / str(workers),
+            workers=workers,
+        )
+        for workers in (1, 2)
+    )
+    for first, second in zip(one, two, strict=True):
+        for suffix in (".npz", ".maps.npy"):
+            assert first.with_suffix(suffix).read_bytes() == second.with_suffix(suffix).read_bytes()

@@ -1,7 +1,7 @@
 """The central replay memory: every joint step once, in files mapped into memory.
 
-A joint step holds the packed maps of mean and standard deviation, the cells, moves, measured values
-and rewards of all UAVs, and the number of the episode; heights stand once per episode. A UAV's
+A joint step holds the packed maps of mean and standard deviation, the cells, moves and rewards of
+all UAVs, and the number of the episode; heights stand once per episode. A UAV's
 transition (s, a, r, s′) is put together when it is sampled, its multi-step return included. Nothing
 is stored as an observation, so three UAVs at 96 × 96 cells cost 6.2 kB per transition instead of
 the 369 kB of two observations of five float planes.
@@ -92,7 +92,6 @@ class Replay:
             "cells": ((*swarm, 2), "i2"),
             "last": (swarm, "i1"),
             "moves": (swarm, "i1"),
-            "measured_db": (swarm, "f4"),
             "reward": (swarm, "f4"),
             "episode": ((), "i4"),
             "step": ((), "i2"),
@@ -127,7 +126,6 @@ class Replay:
             "std": surveys.std,
             "cells": surveys.cells,
             "last": last,
-            "measured_db": surveys.readings_db,
             "episode": surveys.episode,
             "step": surveys.steps_flown,
         }

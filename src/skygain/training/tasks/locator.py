@@ -114,7 +114,7 @@ class LocatorTask:
             "locator-pool",
             data,
             split,
-            self._fly_city,
+            self.fly_city,
             weights=(self.paths,),
             settings=told,
             stream=lambda path, city: [ord(split[1]), city],
@@ -125,7 +125,7 @@ class LocatorTask:
         transmitter = [np.load(file)["transmitter"] for file in files]
         return LocatorPool(channels, transmitter, self.side)
 
-    def _fly_city(self, links: Links, city: int, rng: np.random.Generator, file: Path) -> None:
+    def fly_city(self, links: Links, city: int, rng: np.random.Generator, file: Path) -> None:
         """The maps are written first, so that a city whose small file exists is whole."""
         model = PathModel.load(weight_file(self.paths))
         maps, transmitter = self._flown(links, city, model, rng)
