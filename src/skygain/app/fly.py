@@ -145,7 +145,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
 
     progress.phase("reading the recording")
     options = part(request, RecordingRequest)
-    recording = read_recording(options.pop("replay"), **options)
+    recording = read_recording(str(request.replay), **options)
     city = None
     if request.city is not None:
         progress.phase("reading the city")

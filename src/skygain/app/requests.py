@@ -15,6 +15,7 @@ __all__ = [
     "DoctorRequest",
     "EvaluateRequest",
     "ExportOnnxRequest",
+    "MapRequest",
     "MethodsRequest",
     "SurveyRequest",
     "TrainKrigingRequest",
@@ -30,10 +31,12 @@ from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
 from skygain.survey.requests import (
+    CityRequest,
     FlightRequest,
     MethodRequest,
     PlaceRequest,
     RecordingRequest,
+    ReplayRequest,
 )
 
 
@@ -55,7 +58,7 @@ class OutputRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurveyRequest(PlaceRequest, FlightRequest, MethodRequest, RecordingRequest, OutputRequest):
+class SurveyRequest(PlaceRequest, FlightRequest, MethodRequest, ReplayRequest, OutputRequest):
     """Fly one survey and write maps, tables, pictures and a report.
 
     Examples:
@@ -66,6 +69,57 @@ class SurveyRequest(PlaceRequest, FlightRequest, MethodRequest, RecordingRequest
     """
 
     runs: ClassVar[str] = "skygain.app.fly:run_survey"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapRequest(CityRequest, RecordingRequest):
+    """Map a campaign from all its readings, without a flight, with the error on readings left out.
+
+    Examples:
+        skygain map campaign.csv --where pci=101 --spacing 10
+        skygain map drive.csv walk.gpkg --city buildings.geojson --threshold -105 --next 20
+        skygain map scanner.csv --by pci --out maps/cells
+        skygain map flight.ulg --columns level=radio_status.rssi
+    """
+
+    runs: ClassVar[str] = "skygain.app.chart:run_map"
+
+    readings: tuple[Path, ...] = named(argument=True)
+    """logs of the campaign: CSV and its kin, .gpkg, .geojson, .kml, .gpx, .ulg, .bin, .tlog,
+    .p2m"""
+    predictor: str = named("auto", names="skygain.predictors:PREDICTORS")
+    """name, options as name:key=value; auto takes kriging-blind, of many readings local-kriging"""
+    by: str | None = None
+    """column that tells signals apart, e.g. pci: one map each, and the strongest server"""
+    area: Path | None = None
+    """polygons of where the map is wanted (.geojson, .kml, .gpkg, .shp)"""
+    altitude_m: float = 1.5
+    """altitude of the readings and the map, metres above ground"""
+    transmitter: str | None = None
+    """x,y[,z] in metres or latitude,longitude[,z], if it is known"""
+    frequency_hz: float = named(5e9, flag="frequency-ghz", scale=1e9)
+    """carrier frequency"""
+    threshold_db: float | None = named(None, flag="threshold")
+    """level from which there is coverage, in dBm or dB: its polygons and its share"""
+    next_places: int = named(0, flag="next")
+    """so many places where the next readings would teach the most"""
+    validate: bool = True
+    """predict readings that are left out"""
+    seed: int = 0
+    """draws the readings that are left out"""
+    out: Path = named(Path("maps/latest"), stored=False)
+    """folder for the results"""
+    overwrite: bool = named(False, stored=False)
+    """replace results that the folder already holds"""
+
+    def check(self) -> None:
+        """There are readings, and places are counted."""
+        if not self.readings:
+            raise InputError("`readings` are missing; give one log or several")
+        if self.next_places < 0:
+            raise InputError(f"`next_places` must be 0 or more, got {self.next_places}")
+        if self.seed < 0:
+            raise InputError(f"`seed` must be 0 or more, got {self.seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +259,7 @@ class ExportOnnxRequest(Request):
 
 COMMANDS: dict[str, type[Request]] = {
     "survey": SurveyRequest,
+    "map": MapRequest,
     "evaluate": EvaluateRequest,
     "methods": MethodsRequest,
     "doctor": DoctorRequest,

@@ -18,6 +18,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -285,7 +286,7 @@ def _coverage(charts: Sequence[RadioMap], threshold: float) -> dict[str, Any]:
         if high <= threshold:
             continue
         for points, offsets in zip(*generator.filled(threshold, high), strict=True):
-            rings = [points[a:b] for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+            rings = [points[a:b] for a, b in pairwise(offsets)]
             coordinates = [_lines(chart.grid, ring) for ring in rings]
             shape = {"type": "Polygon", "coordinates": coordinates}
             features.append(_feature(shape, chart, threshold))

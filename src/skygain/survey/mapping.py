@@ -7,7 +7,7 @@ readings that were left out, and `next_places` where further readings would teac
 from __future__ import annotations
 
 __all__ = [
-    "LARGE_CELLS",
+    "LARGE_WORK",
     "RadioMap",
     "Score",
     "chosen_predictor",
@@ -31,12 +31,13 @@ from skygain.posterior import Posterior
 from skygain.predictors import create_predictor
 from skygain.scenario import Scenario
 
-LARGE_CELLS = 1500
-"""from so many measured cells on, one covariance matrix of all readings is too slow"""
-_HUGE_CELLS = 100_000
-"""from so many measured cells on, neighbours are too many as well"""
-_VALIDATED_CELLS = 1200
+LARGE_WORK = 2e10
+"""measured cells squared times cells of the map, from which one covariance matrix of all readings
+is too slow"""
+_VALIDATED_CELLS = 1000
 """at most so many measured cells are cross-validated, the nearest ones to the campaign's middle"""
+_VALIDATED_SIDE = 63
+"""and at most so many cells around it"""
 _FOLDS = 5
 _DRAWS = 1000
 _REACH_M = 100.0
@@ -112,6 +113,7 @@ def radio_map(
     frequency_hz: float = 5e9,
     validate: bool = True,
     seed: int = 0,
+    notes: Sequence[str] = (),
 ) -> RadioMap:
     """The map of all readings.
 
@@ -126,6 +128,7 @@ def radio_map(
         frequency_hz: carrier frequency.
         validate: leave readings out and predict them, for `RadioMap.scores`.
         seed: draws the readings that are left out.
+        notes: what was told of the city and the logs before.
 
     Raises:
         InputError: the predictor needs a transmitter, or there is no such predictor.
@@ -139,7 +142,7 @@ def radio_map(
         transmitter_m=transmitter_m,
         frequency_hz=frequency_hz,
     )
-    notes = list(gridded.notes)
+    notes = [*notes, *gridded.notes]
     if predictor == "auto":
         predictor, told = chosen_predictor(gridded)
         notes += told
@@ -176,10 +179,11 @@ def radio_map(
 def chosen_predictor(gridded: GriddedRecording) -> tuple[str, list[str]]:
     """The predictor that suits so many measured cells, and a line that says so."""
     n = len(gridded)
-    if n < LARGE_CELLS:
+    if n**2 * gridded.grid.size < LARGE_WORK:
         return "kriging-blind", []
-    name = "local-kriging" if n < _HUGE_CELLS else "local-kriging:neighbours=8"
-    return name, [f"{n} measured cells: each cell is predicted from its neighbours ({name})"]
+    return "local-kriging", [
+        f"{n} measured cells: each cell is predicted from its neighbours (local-kriging)"
+    ]
 
 
 def _correlation(belief: object, grid: Grid) -> NDArray[np.float64]:
@@ -205,15 +209,18 @@ def cross_validated(
     """
     told = []
     rows, cols = gridded.cell.T
-    if len(gridded) > _VALIDATED_CELLS:
-        middle = np.median(gridded.cell, axis=0)
-        far = np.abs(gridded.cell - middle).max(axis=1)
-        side = int(np.sort(far)[_VALIDATED_CELLS - 1]) + 1
-        told.append(
-            f"cross-validated on the middle {2 * side} x {2 * side} cells of the campaign alone"
-        )
+    middle = np.median(gridded.cell, axis=0)
+    far = np.sort(np.abs(gridded.cell - middle).max(axis=1))
+    side = int(far[:_VALIDATED_CELLS][-1]) + 2
+    if len(gridded) > _VALIDATED_CELLS or gridded.grid.size > (2 * _VALIDATED_SIDE) ** 2:
+        side = min(side, _VALIDATED_SIDE)
+        n = len(gridded)
         scenario, gridded = _window(gridded, scenario, middle.astype(int), side)
         rows, cols = gridded.cell.T
+        if len(gridded) < n:
+            told.append(
+                f"cross-validated on the {len(gridded)} measured cells nearest to the middle"
+            )
     if len(gridded) < 2 * _FOLDS:
         return {}, [*told, f"{len(gridded)} measured cells are too few to cross-validate"]
     block = _blocks(rows, cols)

@@ -6,7 +6,14 @@ once for all of them. The first line of a group's docstring is its heading in th
 
 from __future__ import annotations
 
-__all__ = ["CityRequest", "FlightRequest", "MethodRequest", "PlaceRequest", "RecordingRequest"]
+__all__ = [
+    "CityRequest",
+    "FlightRequest",
+    "MethodRequest",
+    "PlaceRequest",
+    "RecordingRequest",
+    "ReplayRequest",
+]
 
 import math
 from dataclasses import dataclass, field
@@ -129,13 +136,11 @@ class MethodRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingRequest(Request):
-    """Recording, instead of a simulated world
+    """Recording
 
-    All but ``replay`` are arguments of `skygain.instruments.read_recording`, under the same names.
+    All are arguments of `skygain.instruments.read_recording`, under the same names.
     """
 
-    replay: Path | None = None
-    """log of a campaign: CSV and its kin, .gpkg, .geojson, .kml, .gpx, .ulg, .bin, .tlog, .p2m"""
     columns: dict[str, str] = field(default_factory=dict)
     """columns that are not guessed right, e.g. level=RSRP,latitude=phi; names with a comma in
     quotation marks; level=MESSAGE.field of a flight log"""
@@ -154,3 +159,11 @@ class RecordingRequest(Request):
     """leave out higher levels"""
     skip_bad: bool = False
     """leave out lines that cannot be understood, and count them"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayRequest(RecordingRequest):
+    """Recording, instead of a simulated world"""
+
+    replay: Path | None = None
+    """log of a campaign: CSV and its kin, .gpkg, .geojson, .kml, .gpx, .ulg, .bin, .tlog, .p2m"""

@@ -1,0 +1,193 @@
+"""`skygain map`: from logs to a folder of maps, with every reading used."""
+
+from __future__ import annotations
+
+__all__ = ["chart", "run_map"]
+
+from typing import TYPE_CHECKING
+
+from skygain.app.progress import Progress
+from skygain.app.requests import MapRequest
+from skygain.ground.declared import part
+from skygain.ground.errors import InputError
+from skygain.ground.files import writable_folder
+from skygain.instruments import grid_for, joined, on_grid, read_recording, read_series
+from skygain.instruments.recording import Recording
+from skygain.survey.mapping import RadioMap, next_places, radio_map
+from skygain.survey.requests import CityRequest, RecordingRequest
+from skygain.survey.worlds import parse_position
+
+if TYPE_CHECKING:
+    from skygain.grid import Grid
+
+_MOST_SERIES = 24
+"""so many maps at once; of more signals those with most readings are mapped"""
+_FEWEST = 3
+
+
+def run_map(request: MapRequest, progress: Progress | None = None) -> str:
+    """Make the maps and write their folder.
+
+    Returns:
+        A few lines for the user: what was assumed, the errors, and where everything lies.
+
+    Raises:
+        InputError: anything about the request, the logs or the folder that the user can put right.
+    """
+    from skygain.reports.charts import write_charts
+
+    out = request.out
+    if (out / "results.json").exists() and not request.overwrite:
+        raise InputError(
+            f"{out} already holds results; give another `out`, or `overwrite=True` to replace them"
+        )
+    writable_folder(out)
+    charts = chart(request, progress)
+    places = {c.label: next_places(c, request.next_places) for c in charts if request.next_places}
+    title = f"Map of {', '.join(path.name for path in request.readings)}"
+    left = write_charts(
+        charts,
+        out,
+        threshold=request.threshold_db,
+        places=places,
+        config=request.stored(),
+        title=title,
+    )
+    return "\n".join(
+        [*_told(charts, request.threshold_db), *left, f"report: {out / 'report.html'}"]
+    )
+
+
+def chart(request: MapRequest, progress: Progress | None = None) -> list[RadioMap]:
+    """The maps that were asked for, one for each signal; nothing is written.
+
+    Raises:
+        InputError: anything about the request or the logs that the user can put right.
+    """
+    series, notes = _series(request)
+    city = None
+    if request.city is not None:
+        from skygain.cities import read_city
+
+        options = part(request, CityRequest)
+        del options["city"]
+        reading = read_city(request.city, **options)
+        city, notes = reading.city, [*notes, *reading.notes]
+    first = joined([_placed_only(r) for r in series.values()])
+    grid = city.grid if city else grid_for(first, request.spacing_m or _spacing(first), request.box)
+    area = None
+    if request.area is not None:
+        from skygain.cities.areas import read_areas
+
+        area = read_areas(request.area, grid).mask()
+    transmitter = _transmitter(request, grid)
+    charts = []
+    for number, (label, recording) in enumerate(series.items()):
+        if progress:
+            progress(number, len(series), label)
+        charts.append(
+            radio_map(
+                on_grid(recording, grid),
+                city,
+                predictor=request.predictor,
+                label=label,
+                altitude_m=request.altitude_m,
+                area=area,
+                transmitter_m=transmitter,
+                frequency_hz=request.frequency_hz,
+                validate=request.validate,
+                seed=request.seed,
+                notes=notes if number == 0 else (),
+            )
+        )
+    if progress:
+        progress(len(series), len(series), "")
+    return charts
+
+
+def _series(request: MapRequest) -> tuple[dict[str, Recording], list[str]]:
+    """The readings of each signal, those with most first, and what to tell."""
+    options = part(request, RecordingRequest)
+    if request.by is None:
+        logs = [read_recording(path, **options) for path in request.readings]
+        return {"": joined(logs)}, []
+    found: dict[str, list[Recording]] = {}
+    for path in request.readings:
+        for label, recording in read_series(path, request.by, **options).items():
+            found.setdefault(label, []).append(recording)
+    series = {label: joined(logs) for label, logs in found.items()}
+    order = sorted(series, key=lambda label: -len(series[label]))
+    kept = [label for label in order if len(series[label]) >= _FEWEST][:_MOST_SERIES]
+    if not kept:
+        raise InputError(
+            f"no value of {request.by!r} has {_FEWEST} readings; choose another column for `by`"
+        )
+    left = [f"{label} ({len(series[label])} readings)" for label in order if label not in kept]
+    notes = (
+        [f"{len(left)} values of {request.by!r} not mapped: {', '.join(left[:8])}"] if left else []
+    )
+    return {label: series[label] for label in kept}, notes
+
+
+def _placed_only(recording: Recording) -> Recording:
+    """Where the readings are, for the map's extent."""
+    return Recording(
+        recording.level_db,
+        recording.quantity,
+        recording.source,
+        recording.latlon,
+        recording.xy_m,
+        recording.crs,
+    )
+
+
+def _spacing(recording: Recording) -> float:
+    """Side of a cell in metres, coarse enough that the campaign's map has about 10⁶ cells at
+    most."""
+    spacing = 4.0
+    for coarser in (4.0, 5.0, 10.0, 20.0, 25.0, 50.0, 100.0, 200.0, 500.0):
+        spacing = coarser
+        try:
+            if grid_for(recording, spacing).size <= 1_200_000:
+                break
+        except InputError:  # more cells than a map may have
+            continue
+    return spacing
+
+
+def _transmitter(request: MapRequest, grid: Grid) -> tuple[float, float, float] | None:
+    if request.transmitter is None:
+        return None
+    from skygain.cities.places import position_on
+
+    first, second, z = parse_position(request.transmitter)
+    x, y = position_on(grid, (first, second))
+    return x, y, z
+
+
+def _told(charts: list[RadioMap], threshold: float | None) -> list[str]:
+    """What was assumed, and how good the maps are."""
+    lines = []
+    for c in charts:
+        name = f"{c.label}: " if c.label else ""
+        lines += [f"note: {name}{note}" for note in c.notes]
+    for c in charts:
+        name = f"{c.label}: " if c.label else ""
+        unit = "dBm" if c.gridded.quantity == "power" else "dB"
+        lines.append(
+            f"{name}{int(c.gridded.count.sum())} readings in {len(c.gridded)} cells, map of "
+            f"{c.grid.shape[0]} x {c.grid.shape[1]} cells of {c.grid.spacing_m:g} m by "
+            f"{c.predictor}"
+        )
+        for how, what in (("random", "cells left out at random"), ("blocks", "blocks left out")):
+            found = c.scores.get(how, {})
+            shown = ", ".join(
+                f"{n} {s.rmse_db:.2f} dB ({s.low_db:.2f} … {s.high_db:.2f})"
+                for n, s in found.items()
+            )
+            if shown:
+                lines.append(f"{name}RMSE, {what}: {shown}")
+        if threshold is not None:
+            share = float((c.mean_db[c.wanted] >= threshold).mean())
+            lines.append(f"{name}{share:.1%} of the map at or above {threshold:g} {unit}")
+    return lines
