@@ -14,7 +14,9 @@ from benchmarks.study import Option, Run, study
 from skygain.datasets.links import load_links
 from skygain.fields.residual_field import CorrelationModel
 from skygain.ground.errors import InputError
-from skygain.networks.weights import export_weights, load_network, runs_folder
+from skygain.networks.processor import bf16_instructions
+from skygain.networks.torch_runtime import load_network
+from skygain.networks.weights import export_weights, runs_folder
 
 ALTITUDES_M = (10.0, 20.0, 30.0)
 OFFSETS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -146,7 +148,7 @@ def quantisation(run: Run) -> list[Table]:
         network = task.network()
         load_network(network, file)
         if frozen:
-            network.frozen()  # type: ignore[operator]
+            network.frozen(torch.bfloat16 if bf16_instructions() else torch.float32)  # type: ignore[operator]
         else:
             network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return task.scores(network, batches, contextlib.nullcontext)
@@ -196,10 +198,11 @@ def policy_quantisation(run: Run) -> list[Table]:
     """
     import torch
 
-    from skygain.networks.checkpoints import load_checkpoint
     from skygain.networks.policies.network import policy_network
     from skygain.networks.policies.planes import action_masks
-    from skygain.networks.policies.weights import export_policy, load_policy
+    from skygain.networks.policies.weights import export_policy
+    from skygain.networks.torch_runtime import load_policy
+    from skygain.training.checkpoints import load_checkpoint
     from skygain.training.policies.c51 import expected, masked_argmax, support
     from skygain.training.policies.demonstrations import Demonstrations
     from skygain.training.run import under
@@ -218,7 +221,7 @@ def policy_quantisation(run: Run) -> list[Table]:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "policy.safetensors"
             export_policy(under("network.", tensors), file, {"policy": shape})
-            size, (shipped, _) = file.stat().st_size / 1e6, load_policy(file)
+            size, shipped = file.stat().st_size / 1e6, load_policy(file)
         same = total = 0
         for k in range(-(-o.states // 64)):
             seen, _ = flights.sample(np.random.default_rng([11, k]), 64)

@@ -145,10 +145,10 @@ def planner_of(name: str) -> Planner:
     """The planner; a policy without trained weights gets random ones."""
     if name not in RANDOM_POLICIES:
         return create_planner(name)
-    from skygain.networks.policies.weights import load_policy
+    from skygain.networks.policies.weights import policy_file
 
     try:
-        load_policy(name)
+        policy_file(name)
     except InputError:
         from skygain.networks.policies.network import policy_network
         from skygain.networks.policies.weights import export_policy
@@ -224,11 +224,11 @@ def predictor_of(name: str) -> Predictor | None:
     try:
         find_weights(name)
     except InputError:
-        from skygain.networks.checkpoints import save_checkpoint
         from skygain.networks.unets.paper import PaperUNets
+        from skygain.networks.weights import write_weights
 
         file = Path(tempfile.mkdtemp()) / "random.safetensors"
-        save_checkpoint(file, PaperUNets().state_dict(), {})
+        write_weights(file, PaperUNets().state_dict(), {})
         return create_predictor(name, weights=str(file))
     return create_predictor(name)
 

@@ -4,18 +4,14 @@ import numpy as np
 import torch
 from torch.nn import functional as F  # noqa: N812
 
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.features import CHANNELS
 from skygain.networks.operator.network import OperatorConfig, PropagationOperator
-from skygain.networks.unets.direct import DirectNet, direct_inputs
-from skygain.networks.unets.paper import (
-    PADDING_DB,
-    PaperUNet,
-    PaperUNets,
-    UpsampledConv2d,
-    paper_inputs,
-)
-from skygain.networks.weights import load_network
+from skygain.networks.scales import PADDING_DB
+from skygain.networks.torch_runtime import load_network
+from skygain.networks.unets.direct import DirectNet
+from skygain.networks.unets.inputs import direct_inputs, paper_inputs
+from skygain.networks.unets.paper import PaperUNet, PaperUNets, UpsampledConv2d
+from skygain.networks.weights import write_weights
 
 SMALL = OperatorConfig(stem=4, widths=(8, 8, 8), blocks=(1, 1, 2), heads=2)
 
@@ -58,29 +54,27 @@ def test_the_paper_network_has_the_sizes_of_its_table():
 
 
 def test_the_blind_twin_does_not_see_the_city(rng):
-    gain, measured = torch.full((1, 96, 96), -100.0), torch.zeros(1, 96, 96, dtype=torch.bool)
+    gain, measured = np.full((1, 96, 96), -100.0, np.float32), np.zeros((1, 96, 96), bool)
     measured[0, 5, 5] = True
     inputs = [
-        paper_inputs(height, gain, measured, blind=True)
-        for height in (torch.zeros(1, 96, 96), torch.ones(1, 96, 96))
+        paper_inputs(np.full((1, 96, 96), height, np.float32), gain, measured, blind=True)
+        for height in (0.0, 1.0)
     ]
     assert inputs[0].shape == (1, 1, 96, 96)
-    assert torch.equal(*inputs)
-    mean, log_variance = PaperUNets(blind=True)(inputs[0])
+    assert np.array_equal(*inputs)
+    mean, log_variance = PaperUNets(blind=True)(torch.from_numpy(inputs[0]))
     assert mean.shape == log_variance.shape == (1, 96, 96)
 
 
 def test_unmeasured_cells_hold_the_padding_value_and_no_truth():
-    measured = torch.zeros(1, 96, 96, dtype=torch.bool)
+    measured = np.zeros((1, 96, 96), dtype=bool)
     measured[0, 5, 5] = True
-    one, two = (
-        paper_inputs(torch.zeros(1, 96, 96), torch.full((1, 96, 96), g), measured, blind=False)
-        for g in (-90.0, -70.0)
-    )
-    differs = (one != two).any(1)[0]
+    flat = np.zeros((1, 96, 96), np.float32)
+    one, two = (paper_inputs(flat, flat + g, measured, blind=False) for g in (-90.0, -70.0))
+    differs = (one != two).any(axis=1)[0]
     assert differs.sum() == 1
     assert differs[5, 5]
-    assert torch.allclose(one[0, 1, 0, 0] * 30 - 120, torch.tensor(PADDING_DB))
+    assert np.isclose(one[0, 1, 0, 0] * 30 - 120, PADDING_DB)
 
 
 def test_our_networks_take_maps_of_any_size():
@@ -89,19 +83,18 @@ def test_our_networks_take_maps_of_any_size():
             torch.zeros(2, len(CHANNELS), *shape)
         )
         assert mean.shape == log_variance.shape == (2, *shape)
-        maps = torch.zeros(2, *shape)
-        direct = DirectNet(SMALL).eval()(
-            direct_inputs(maps, maps - 100, maps == 0, torch.tensor([10.0, 20.0]))
-        )
+        maps = np.zeros((2, *shape), np.float32)
+        inputs = direct_inputs(maps, maps - 100, maps == 0, np.array([10.0, 20.0]))
+        direct = DirectNet(SMALL).eval()(torch.from_numpy(inputs))
         assert direct[0].shape == (2, *shape)
 
 
 def test_the_direct_network_sees_gains_at_measured_cells_only(rng):
-    measured = torch.from_numpy(rng.random((1, 24, 24)) < 0.1)
-    gain = torch.from_numpy(rng.normal(-100, 20, (1, 24, 24)).astype(np.float32))
-    other = torch.where(measured, gain, gain + 30.0)
-    heights, altitude = torch.zeros(1, 24, 24), torch.tensor([10.0])
-    assert torch.equal(
+    measured = rng.random((1, 24, 24)) < 0.1
+    gain = rng.normal(-100, 20, (1, 24, 24)).astype(np.float32)
+    other = np.where(measured, gain, gain + 30.0)
+    heights, altitude = np.zeros((1, 24, 24), np.float32), np.array([10.0])
+    assert np.array_equal(
         direct_inputs(heights, gain, measured, altitude),
         direct_inputs(heights, other, measured, altitude),
     )
@@ -124,13 +117,12 @@ def test_upsampling_within_the_filter_is_upsampling_before_it():
 def test_a_frozen_network_answers_as_the_trained_one_does(rng):
     torch.manual_seed(0)
     network = PaperUNets().eval()
-    truth = torch.from_numpy(rng.normal(-120, 20, (2, 96, 96)).astype(np.float32))
-    inputs = paper_inputs(
-        torch.zeros(2, 96, 96), truth, torch.from_numpy(rng.random((2, 96, 96)) < 0.1), blind=False
-    )
+    truth = rng.normal(-120, 20, (2, 96, 96)).astype(np.float32)
+    measured = rng.random((2, 96, 96)) < 0.1
+    inputs = torch.from_numpy(paper_inputs(0 * truth, truth, measured, blind=False))
     with torch.no_grad():
         mean, log_variance = network(inputs)
-        frozen_mean, frozen_log_variance = network.frozen()(inputs)
+        frozen_mean, frozen_log_variance = network.frozen(torch.bfloat16)(inputs)
     assert frozen_mean.dtype == torch.float32
     # bfloat16 has eight bits of 30 dB a unit; what is rounded in many layers averages out
     assert (mean - frozen_mean).square().mean().sqrt() < 0.15
@@ -140,14 +132,13 @@ def test_a_frozen_network_answers_as_the_trained_one_does(rng):
 def test_a_blind_pair_can_begin_from_one_that_sees(tmp_path, rng):
     torch.manual_seed(0)
     seeing, blind = PaperUNets(), PaperUNets(blind=True)
-    save_checkpoint(tmp_path / "seeing.safetensors", seeing.state_dict(), {"name": "seeing"})
+    write_weights(tmp_path / "seeing.safetensors", seeing.state_dict(), {"name": "seeing"})
     load_network(blind, tmp_path / "seeing.safetensors", adapt=True)
-    gain = torch.from_numpy(rng.uniform(-140, -60, (2, 96, 96)).astype(np.float32))
-    measured, flat = torch.from_numpy(rng.random((2, 96, 96)) < 0.1), torch.zeros(2, 96, 96)
+    gain = rng.uniform(-140, -60, (2, 96, 96)).astype(np.float32)
+    measured = rng.random((2, 96, 96)) < 0.1
+    seen, unseen = (
+        torch.from_numpy(paper_inputs(0 * gain, gain, measured, blind)) for blind in (False, True)
+    )
     with torch.inference_mode():
-        for one, two in zip(
-            seeing(paper_inputs(flat, gain, measured, False)),
-            blind(paper_inputs(flat, gain, measured, True)),
-            strict=True,
-        ):
+        for one, two in zip(seeing(seen), blind(unseen), strict=True):
             assert torch.allclose(one, two, atol=1e-3)

@@ -6,10 +6,10 @@ import torch
 
 from skygain.datasets.sample import SAMPLE
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.judge import INPUTS, CandidateJudge
 from skygain.networks.weights import find_weights
 from skygain.training import train_predictor
+from skygain.training.checkpoints import save_checkpoint
 from skygain.training.judge import JudgeNetwork
 
 

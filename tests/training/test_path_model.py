@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from skygain.datasets.sample import SAMPLE
-from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.operator.path_model import PathModel
 from skygain.training import train_predictor
+from skygain.training.checkpoints import load_checkpoint
 
 
 def test_training_writes_a_file_that_loads(tmp_path):

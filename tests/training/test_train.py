@@ -9,9 +9,9 @@ import torch
 from skygain.datasets.links import load_links
 from skygain.datasets.sample import SAMPLE
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.operator.network import OperatorConfig
 from skygain.training import train_predictor
+from skygain.training.checkpoints import load_checkpoint
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.unets import DirectTask
 

@@ -241,20 +241,16 @@ class TrainPredictorRequest(TrainRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOnnxRequest(Request):
-    """Write a trained network as ONNX; checked against PyTorch before it is written."""
+    """Write a trained network with its weights as one ONNX file, for other programs."""
 
     runs: ClassVar[str] = "skygain.app.commands:run_export"
 
     network: str = named(argument=True)
-    """operator, locator, unet, paper-unet or paper-unet-mapblind"""
+    """operator, locator, unet, paper-unet, paper-unet-mapblind, dqn or imitation"""
     out: Path = named(argument=True)
     """file to write"""
     weights: Path | None = None
     """weight file; the shipped one of that name when left out"""
-    rows: int = 96
-    """rows of the map"""
-    cols: int = 96
-    """columns of the map"""
 
 
 COMMANDS: dict[str, type[Request]] = {

@@ -1,24 +1,25 @@
 """Large weight matrices in 4 or 8 bits: what lets a dense layer of 21 million weights ship.
 
 A matrix is cut into groups of consecutive weights of a row. Each group keeps its smallest value and
-a step in float16, and every weight the nearest of the 16 or 256 values in between (asymmetric
-uniform quantisation, as in the weight-only formats used for language models). Only the file is
+a step in float16, and every weight the nearest of the 16 or 256 values in between. Only the file is
 small; a loaded network computes in float32.
 """
 
 from __future__ import annotations
 
-__all__ = ["dequantised", "quantised"]
+__all__ = ["GROUP", "dequantised", "quantised"]
 
-import torch
-from torch import Tensor
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
 
 GROUP = 64
 """weights that share a smallest value and a step"""
 SUFFIXES = (".q4", ".q8", ".low", ".step")
 
 
-def quantised(name: str, weight: Tensor, bits: int) -> dict[str, Tensor]:
+def quantised(name: str, weight: NDArray[np.floating], bits: int) -> dict[str, NDArray]:
     """``weight[out, in]`` as ``{name.q4 | name.q8, name.low, name.step}``; two 4-bit weights share
     a byte.
 
@@ -32,32 +33,33 @@ def quantised(name: str, weight: Tensor, bits: int) -> dict[str, Tensor]:
             f"expected a matrix with rows of a multiple of {GROUP} weights, got shape "
             f"{tuple(weight.shape)}"
         )
-    groups = weight.float().reshape(weight.shape[0], -1, GROUP)
-    low = groups.amin(-1).half()
+    groups = weight.astype(np.float32).reshape(weight.shape[0], -1, GROUP)
+    low = groups.min(axis=-1).astype(np.float16)
     # Steps are rounded up to float16, so that the largest weight of a group stays within reach.
-    step = ((groups.amax(-1) - low.float()) / (2**bits - 1) * (1 + 2**-10)).clamp(min=6e-8).half()
-    code = (
-        ((groups - low.float()[..., None]) / step.float()[..., None])
-        .round()
-        .clamp(0, 2**bits - 1)
-        .to(torch.uint8)
-    )
-    code = code.reshape(weight.shape)
+    step = (groups.max(axis=-1) - low.astype(np.float32)) / (2**bits - 1) * np.float32(1 + 2**-10)
+    step = np.maximum(step, np.float32(6e-8)).astype(np.float16)
+    code = (groups - low.astype(np.float32)[..., None]) / step.astype(np.float32)[..., None]
+    code = np.clip(np.rint(code), 0, 2**bits - 1).astype(np.uint8).reshape(weight.shape)
     if bits == 4:
         code = code[:, 0::2] | (code[:, 1::2] << 4)
-    return {f"{name}.q{bits}": code.contiguous(), f"{name}.low": low, f"{name}.step": step}
+    return {f"{name}.q{bits}": np.ascontiguousarray(code), f"{name}.low": low, f"{name}.step": step}
 
 
-def dequantised(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """``tensors`` with every quantised matrix as float32 again, under its own name."""
-    out = {key: value for key, value in tensors.items() if not key.endswith(SUFFIXES)}
-    for key, code in tensors.items():
+def dequantised(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """``arrays`` with every quantised matrix as float32 again, under its own name."""
+    out = {key: value for key, value in arrays.items() if not key.endswith(SUFFIXES)}
+    for key, code in arrays.items():
         name, _, kind = key.rpartition(".")
         if kind not in ("q4", "q8"):
             continue
+        low, step = (arrays[f"{name}.{part}"].astype(np.float32) for part in ("low", "step"))
+        weight = np.empty((*low.shape, GROUP), dtype=np.float32)
         if kind == "q4":
-            code = torch.stack([code & 15, code >> 4], dim=-1).flatten(1)
-        low, step = tensors[f"{name}.low"].float(), tensors[f"{name}.step"].float()
-        groups = code.reshape(code.shape[0], -1, GROUP).float()
-        out[name] = (groups * step[..., None] + low[..., None]).reshape(code.shape)
+            pairs = code.reshape(*low.shape, GROUP // 2)
+            weight[..., 0::2], weight[..., 1::2] = pairs & 15, pairs >> 4
+        else:
+            weight[:] = code.reshape(weight.shape)
+        weight *= step[..., None]
+        weight += low[..., None]
+        out[name] = weight.reshape(len(code), -1)
     return out

@@ -1,31 +1,66 @@
-"""Weights that ship with the package or were trained here, and the card that says where they come
-from.
+"""Weight files: named arrays and the card that says where they come from.
 
 A weight file is safetensors; the card stands in its header and, readable, beside it. Weights are
-looked for by name in the package first, then in `runs_folder`, where `train_predictor` leaves them;
-a file of one's own is given by its path.
+looked for by name in the package, in the package of the paper's weights, then in `runs_folder`,
+where training leaves them; a file of one's own is given by its path. NumPy is enough to read them.
 """
 
 from __future__ import annotations
 
-__all__ = ["export_weights", "find_weights", "load_network", "runs_folder", "weight_file"]
+__all__ = [
+    "Weights",
+    "export_weights",
+    "find_weights",
+    "packed",
+    "read_card",
+    "read_weights",
+    "runs_folder",
+    "weight_file",
+    "write_weights",
+]
 
+import importlib.util
 import json
 import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import nn
+import numpy as np
+from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
+from skygain.ground.files import atomic_write
 from skygain.networks.quantised import dequantised, quantised
-from skygain.networks.unets.paper import PaperUNets
 
 LARGE = 1_000_000
 """weights beyond which a matrix is worth quantising"""
 PACKAGE_WEIGHTS = Path(__file__).parents[1] / "data" / "weights"
+EXTRA_WEIGHTS = {"paper-unet": "skygain-paper-weights"}
+"""weights that a distribution of their own brings"""
+AVERAGE = "average."
+"""before the names of a run's averaged weights in its checkpoint"""
+COUNTER = "num_batches_tracked"
+"""ends the name of what PyTorch counts while it trains"""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What a weight file holds."""
+
+    path: Path
+    """the file"""
+    arrays: dict[str, NDArray]
+    """by name, in float32"""
+    card: dict[str, Any]
+    """data, recipe, scores"""
+
+    @property
+    def task(self) -> dict[str, Any]:
+        """Settings of what was learned, from the card's recipe; empty where the card has none."""
+        return self.card.get("recipe", {}).get("task", {})
 
 
 def runs_folder() -> Path:
@@ -38,14 +73,20 @@ def find_weights(name: str) -> Path:
     """The weight file called ``name``.
 
     Raises:
-        InputError: there is none; the message says which command makes it.
+        InputError: there is none; the message says which command brings or makes it.
     """
-    for path in (
-        PACKAGE_WEIGHTS / f"{name}.safetensors",
-        runs_folder() / name / f"{name}.safetensors",
-    ):
-        if path.exists():
+    folders = [PACKAGE_WEIGHTS, runs_folder() / name]
+    distribution = EXTRA_WEIGHTS.get(name)
+    if distribution and (spec := importlib.util.find_spec(distribution.replace("-", "_"))):
+        folders.insert(1, Path(next(iter(spec.submodule_search_locations or ()))))
+    for folder in folders:
+        if (path := folder / f"{name}.safetensors").exists():
             return path
+    if distribution:
+        raise InputError(
+            f"the weights {name!r} come in a package of their own, which is not installed; "
+            f"bring them with: {_command(distribution)}"
+        )
     raise InputError(
         f"the weights {name!r} do not ship with this version and were not trained here; make them "
         "with: "
@@ -53,72 +94,102 @@ def find_weights(name: str) -> Path:
     )
 
 
+def _command(distribution: str) -> str:
+    """How to install ``distribution``: from the checkout that this code runs from, or by pip."""
+    folder = Path(__file__).parents[3] / "packages" / distribution.removeprefix("skygain-")
+    return f"pip install {folder if folder.is_dir() else distribution}"
+
+
 def weight_file(name: str | Path) -> Path:
     """The file ``name`` if it ends in ``.safetensors``, else the weights of that name."""
     return Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
 
 
-def export_weights(checkpoint: Path, path: Path, card: dict[str, Any], bits: int = 0) -> None:
-    """Write the averaged weights of a run as a float16 weight file with ``card`` in its header, and
-    the card as JSON beside it.
+def read_weights(name: str | Path) -> Weights:
+    """The weights called ``name`` (or in the file ``name``), quantised ones unpacked. Of a run's
+    own checkpoint these are the averaged ones.
 
-    With ``bits`` 4 or 8, matrices of more than a million weights are quantised.
+    Raises:
+        InputError: there are none, or the file is no weight file of ours.
     """
-    tensors, meta = load_checkpoint(checkpoint)
-    half: dict[str, torch.Tensor] = {}
-    for key, value in tensors.items():
-        name = key.removeprefix("average.")
-        if key == name:
-            continue
-        if bits and value.ndim == 2 and value.numel() > LARGE:
-            half |= quantised(name, value, bits)
+    path = weight_file(name)
+    with _opened(path) as (file, card):
+        keys = [key for key in file.keys() if not key.endswith(COUNTER)]  # noqa: SIM118 - no dict
+        averaged = [key for key in keys if key.startswith(AVERAGE)]
+        arrays = {key.removeprefix(AVERAGE): file.get_tensor(key) for key in averaged or keys}
+    floats = {key: value.astype(np.float32) for key, value in dequantised(arrays).items()}
+    return Weights(path, floats, card)
+
+
+def read_card(path: Path) -> dict[str, Any]:
+    """The card in the header of a weight file.
+
+    Raises:
+        InputError: it is no weight file of ours.
+    """
+    with _opened(path) as (_, card):
+        return card
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            card = json.loads((file.metadata() or {})["skygain"])
+            if "config" in card:  # a run's own checkpoint
+                card["recipe"] = card.pop("config")
+            yield file, card
+    except (OSError, SafetensorError, KeyError, json.JSONDecodeError) as error:
+        raise InputError(
+            f"{path} is not a weight file of Skygain ({error}); give one written by `skygain train`"
+        ) from error
+
+
+def write_weights(path: Path, arrays: Mapping[str, Any], card: dict[str, Any]) -> None:
+    """Write ``arrays`` (of NumPy, or tensors on the processor) with ``card`` in the header, and the
+    card as JSON beside them."""
+    from safetensors.numpy import save_file
+
+    found = {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+    with atomic_write(path) as tmp:
+        save_file(found, tmp, metadata={"skygain": json.dumps(card)})
+    with atomic_write(path.with_suffix(".json")) as tmp:
+        tmp.write_text(json.dumps(card, indent=2) + "\n")
+
+
+def packed(arrays: Mapping[str, Any], bits: int = 0) -> dict[str, NDArray]:
+    """``arrays`` in float16; with ``bits`` 4 or 8, matrices of more than a million weights
+    quantised."""
+    out: dict[str, NDArray] = {}
+    for key, value in arrays.items():
+        array = np.asarray(value)
+        if bits and array.ndim == 2 and array.size > LARGE:
+            out |= quantised(key, array, bits)
         else:
-            half[name] = value.to(torch.float16)
+            out[key] = array.astype(np.float16)
+    return out
+
+
+def export_weights(checkpoint: Path, path: Path, card: dict[str, Any], bits: int = 0) -> None:
+    """Write the averaged weights of a run as a weight file with ``card`` in its header, its scores
+    and its recipe added; see `packed` for ``bits``."""
+    weights = read_weights(checkpoint)
+    meta, recipe = weights.card, _shareable(weights.card["recipe"])
     card = {
         **card,
         "steps": meta["step"],
         "training_seconds": round(meta["seconds"]),
         "scores": meta["scores"],
-        **_recipe(meta),
+        "samples": meta["step"] * recipe["batch_size"],
+        "recipe": recipe,
     }
-    save_checkpoint(path, half, card)
-    path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
+    write_weights(path, packed(weights.arrays, bits), card)
 
 
-def load_network(network: nn.Module, name: str | Path, *, adapt: bool = False) -> dict[str, Any]:
-    """Fill ``network`` with the weights called ``name`` (or in the file ``name``), set it to
-    evaluation, and return their card.
-
-    With ``adapt`` weights of a network that sees more may begin the training of one that sees less.
-    """
-    path = weight_file(name)
-    tensors, card = load_checkpoint(path)
-    if any(key.startswith("average.") for key in tensors):  # a run's own checkpoint
-        tensors = {
-            key.removeprefix("average."): value
-            for key, value in tensors.items()
-            if key.startswith("average.")
-        }
-    tensors = dequantised(tensors)
-    state = {
-        key: value.float() if value.is_floating_point() else value for key, value in tensors.items()
-    }
-    if adapt and isinstance(network, PaperUNets):
-        state = network.adapted(state)
-    missing, unexpected = network.load_state_dict(state, strict=False)
-    missing = [key for key in missing if not key.endswith("num_batches_tracked")]
-    if missing or unexpected:
-        raise InputError(
-            f"{path} does not fit this network (first mismatch: {(missing + unexpected)[0]}); "
-            "export it again"
-        )
-    network.eval()
-    return card
-
-
-def _recipe(meta: dict[str, Any]) -> dict[str, Any]:
-    config = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
-    config["start_from"] = "/".join(
-        Path(config.get("start_from", "")).parts[-2:]
-    )  # no folder of this machine
-    return {"samples": meta["step"] * config["batch_size"], "recipe": config}
+def _shareable(config: dict[str, Any]) -> dict[str, Any]:
+    """``config`` without the folders of this machine."""
+    kept = {key: value for key, value in config.items() if key not in ("data", "out")}
+    kept["start_from"] = "/".join(Path(config.get("start_from", "")).parts[-2:])
+    return kept

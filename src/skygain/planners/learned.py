@@ -18,10 +18,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_softmax, softmax
 
 from skygain.flight.airspace import Airspace, blocked_home, home_margins, resolve_step
 from skygain.flight.swarm import Swarm
+from skygain.networks.policies.inputs import (
+    SYMMETRIES,
+    Seen,
+    last_moves,
+    policy_views,
+    turned_moves,
+)
 from skygain.networks.policies.planes import packed_height, packed_mean, packed_std
+from skygain.networks.policies.weights import definition_of, policy_file
+from skygain.networks.runtime import Network, load
+from skygain.networks.weights import read_card
 from skygain.planners.base import Plan, Planner
 from skygain.predictors.base import Belief
 
@@ -35,6 +46,8 @@ class PolicyPlanner(Planner):
     symmetries: int = 8
     """turns and mirror images averaged over, 1 to 8; the paper's network, whose view is not
     centred, is asked once"""
+    runtime: str = "onnx"
+    """what runs the network, see `skygain.networks.runtime`"""
 
     def plan(self, swarm: Swarm, belief: Belief, horizon: int, rng: np.random.Generator) -> Plan:
         score = self.values(swarm, belief) + 1e-9 * rng.random((swarm.n_uavs, 4))
@@ -50,11 +63,6 @@ class PolicyPlanner(Planner):
 
     def values(self, swarm: Swarm, belief: Belief) -> NDArray[np.float64]:
         """``[uav, move]`` how much each UAV's network favours each move, legal or not."""
-        import torch
-
-        from skygain.networks.policies.inputs import SYMMETRIES, Seen, last_moves, turned_moves
-
-        network, z = self._network
         posterior, n = belief.posterior(), swarm.n_uavs
         maps = (
             packed_mean(posterior.mean_db),
@@ -72,25 +80,26 @@ class PolicyPlanner(Planner):
             last=last_moves(swarm),
             left=swarm.steps_left,
         )
-        count = min(self.symmetries, SYMMETRIES) if network.centred else 1
-        total = np.zeros((n, 4))
-        with torch.inference_mode():
-            for symmetry, inputs in enumerate(network.all_inputs(seen, count)):
-                logits = network(*inputs)
-                value = (
-                    torch.log_softmax(logits[..., 0], dim=-1)
-                    if z is None
-                    else torch.softmax(logits, dim=-1) @ z
-                )
-                total += value.numpy()[:, turned_moves(symmetry)]
-        return total / count
+        shape = self._network.weights.card["policy"]
+        views = policy_views(shape, seen, min(self.symmetries, SYMMETRIES))
+        (logits,) = self._network(*(np.concatenate(arrays) for arrays in zip(*views, strict=True)))
+        value = _favour(logits, shape).reshape(len(views), n, 4)
+        turned = [value[k][:, turned_moves(k)] for k in range(len(views))]
+        return np.mean(turned, axis=0, dtype=float)
 
     @cached_property
-    def _network(self) -> tuple[Any, Any]:
-        """The network and the support of its returns, ``None`` for an imitator."""
-        from skygain.networks.policies.weights import load_policy
+    def _network(self) -> Network:
+        path = policy_file(self.weights)
+        return load(definition_of(read_card(path), path), path, self.runtime)
 
-        return load_policy(self.weights)
+
+def _favour(logits: NDArray[np.float32], shape: dict[str, Any]) -> NDArray[np.float32]:
+    """``[sample, move]`` the mean of the distribution of returns ``logits[sample, move, atom]``;
+    with one atom the log probability that an imitator chooses the move."""
+    if shape["atoms"] == 1:
+        return log_softmax(logits[..., 0], axis=-1)
+    returns = np.linspace(shape["v_min"], shape["v_max"], shape["atoms"], dtype=np.float32)
+    return softmax(logits, axis=-1) @ returns
 
 
 def dqn_planner(weights: str | Path = "dqn", **options: Any) -> PolicyPlanner:

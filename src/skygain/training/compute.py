@@ -11,6 +11,8 @@ from typing import Any
 
 import torch
 
+from skygain.networks.processor import bf16_instructions
+
 
 def best_device() -> torch.device:
     """CUDA where there is one, else the processor."""
@@ -21,7 +23,7 @@ def computes_bf16(device: torch.device) -> bool:
     """Whether ``device`` has instructions for bfloat16; without them it is slower than float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+    return bool(bf16_instructions())
 
 
 def autocast(wanted: bool, device: torch.device = torch.device("cpu")) -> Callable[[], Any]:  # noqa: B008 - never changed

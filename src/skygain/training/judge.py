@@ -14,7 +14,6 @@ from __future__ import annotations
 
 __all__ = ["JudgeConfig", "JudgeNetwork", "train_judge"]
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,8 +30,8 @@ from skygain.datasets.links import Links, View, several_paths
 from skygain.grid import Grid
 from skygain.ground.files import atomic_write
 from skygain.measurements import Measurements
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.judge import INPUTS, judge_inputs
+from skygain.networks.weights import write_weights
 from skygain.predictors.networks.operator import OperatorBelief, OperatorPredictor, OperatorSettings
 from skygain.scenario import Scenario
 from skygain.training.compute import threads
@@ -172,16 +171,15 @@ def train_judge(config: JudgeConfig, report: Report = lambda record: None) -> Re
         "name": "judge",
         "what": "candidate positions: how their maps agree with the readings -> probability",
         "data": f"{names}, split T3; scores on T2",
-        "surveys": len(training) // MOMENTS,
-        "rounds": run.step,
-        **{key: getattr(config, key) for key in ("hidden", "weight_decay", "seed")},
+        "steps": run.step,
         "scores": run.scores,
-        "recipe": "judge",
+        "samples": len(training),
+        "recipe": {
+            "surveys": len(training) // MOMENTS,
+            **{key: getattr(config, key) for key in ("hidden", "weight_decay", "seed")},
+        },
     }
-    weights = run.folder / "judge.safetensors"
-    save_checkpoint(weights, network.tensors(), card)
-    with atomic_write(weights.with_suffix(".json")) as file:
-        file.write_text(json.dumps(card, indent=2) + "\n")
+    write_weights(run.folder / "judge.safetensors", network.tensors(), card)
     return run.result(run.step * len(training))
 
 

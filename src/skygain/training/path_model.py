@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from skygain.datasets.links import Links, load_links
-from skygain.networks.checkpoints import save_checkpoint
+from skygain.datasets.links import Links, load_links, several_paths
 from skygain.networks.operator.features import CHANNELS, fill_cells
 from skygain.networks.operator.path_model import (
     FREE_SPACE_5GHZ_DB,
@@ -22,6 +21,7 @@ from skygain.networks.operator.path_model import (
     USED,
     PathModel,
 )
+from skygain.networks.weights import write_weights
 from skygain.training.rounds import in_rounds
 from skygain.training.run import Part, Report, Result, Run
 
@@ -84,12 +84,20 @@ def train_path_model(config: PathModelConfig, report: Report = lambda record: No
     run.record(**run.scores)
     run.save()
     tensors = {
-        f"{i}.{kind}": getattr(layer, kind)
+        f"{i}.{kind}": getattr(layer, kind).detach()
         for i, layer in enumerate(linear)
         for kind in ("weight", "bias")
     }
-    card = {"name": "path-model", "rounds": run.step, "seed": config.seed, **run.scores}
-    save_checkpoint(run.folder / "path-model.safetensors", tensors, card)
+    card = {
+        "name": "path-model",
+        "what": "geometry of one path -> mean and standard deviation of the gain",
+        "data": " + ".join(path.name for path in several_paths(config.data)),
+        "steps": run.step,
+        "scores": run.scores,
+        "samples": run.step * WINDOWS,
+        "recipe": {"seed": config.seed},
+    }
+    write_weights(run.folder / "path-model.safetensors", tensors, card)
     return run.result(run.step * WINDOWS)
 
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from skygain.datasets.links import Paths, several_paths
 from skygain.ground.errors import InputError
+from skygain.networks.graphs import write_graph
 from skygain.networks.weights import export_weights, runs_folder
 from skygain.training.judge import JudgeConfig, train_judge
 from skygain.training.path_model import PathModelConfig, train_path_model
@@ -81,8 +82,8 @@ def train_predictor(
     continuing what is there.
 
     ``changes`` override the recipe. The weights end up as ``out/<name>.safetensors``, with their
-    card in the header. Without ``out`` the run lives in `runs_folder`, where the predictor of that
-    name finds its weights.
+    card in the header and their graph beside them. Without ``out`` the run lives in `runs_folder`,
+    where the predictor of that name finds its weights.
 
     Raises:
         InputError: unknown recipe or setting, no such data set, or a checkpoint in ``out`` that is
@@ -101,7 +102,9 @@ def train_predictor(
         "data": " + ".join(path.name for path in several),
         "precision": f"float16, the dense layers {bits} bits" if bits else "float16",
     }
-    export_weights(result.checkpoint, Path(config.out) / f"{name}.safetensors", card, bits)
+    weights = Path(config.out) / f"{name}.safetensors"
+    export_weights(result.checkpoint, weights, card, bits)
+    write_graph(name, weights)
     return result
 
 

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write, writable_folder
 from skygain.ground.strict_json import json_text, plain
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
+from skygain.training.checkpoints import load_checkpoint, save_checkpoint
 
 Part = (
     nn.Module | torch.optim.Optimizer | dict[str, Tensor] | np.random.Generator | torch._C.Generator

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from skygain.networks.weights import load_network, runs_folder
+from skygain.networks.torch_runtime import load_network
+from skygain.networks.weights import runs_folder
 from skygain.training.compute import autocast, best_device, threads
 from skygain.training.parallel import Shares, moved, prefetched
 from skygain.training.run import Part, Report, Result, Run, set_rate

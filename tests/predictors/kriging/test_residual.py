@@ -10,8 +10,8 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from skygain.fields.residual_field import CorrelationModel
 from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.unets.direct import DirectNet
+from skygain.networks.weights import write_weights
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.kriging.residual import ResidualKrigingPredictor
@@ -23,7 +23,7 @@ from skygain.testing.predictors import check_predictor, example_scenario
 def network(tmp_path_factory):
     torch.manual_seed(0)
     file = tmp_path_factory.mktemp("weights") / "unet.safetensors"
-    save_checkpoint(file, DirectNet().state_dict(), {"name": "untrained"})
+    write_weights(file, DirectNet().state_dict(), {"name": "untrained"})
     return UNetPredictor(weights=file)
 
 

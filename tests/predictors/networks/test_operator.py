@@ -10,11 +10,11 @@ import torch
 
 from skygain.fields.residual_field import SMALLEST_VARIANCE, CorrelationModel, ResidualField
 from skygain.measurements import Measurements
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.judge import INPUTS, TERMS, CandidateJudge, error_terms, judge_inputs
 from skygain.networks.operator.locator import LocatorNet
 from skygain.networks.operator.network import PropagationOperator
 from skygain.networks.operator.path_model import USED
+from skygain.networks.weights import write_weights
 from skygain.predictors.networks import operator
 from skygain.predictors.networks.operator import OperatorPredictor, OperatorSettings
 from skygain.predictors.networks.transmitter_search import TransmitterSearch
@@ -50,20 +50,18 @@ def any_judge():
 def predictor(tmp_path_factory):
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("weights")
-    save_checkpoint(
+    write_weights(
         folder / "operator.safetensors", PropagationOperator().state_dict(), {"name": "untrained"}
     )
     sizes = (len(USED), 8, 2)
     layers = {f"{i}.weight": torch.randn(b, a) / 4 for i, (a, b) in enumerate(pairwise(sizes))}
-    save_checkpoint(
+    write_weights(
         folder / "paths.safetensors",
         layers | {f"{i}.bias": torch.zeros(b) for i, b in enumerate(sizes[1:])},
         {},
     )
-    save_checkpoint(
-        folder / "locator.safetensors", LocatorNet().state_dict(), {"name": "untrained"}
-    )
-    save_checkpoint(folder / "judge.safetensors", any_judge(), {"name": "untrained"})
+    write_weights(folder / "locator.safetensors", LocatorNet().state_dict(), {"name": "untrained"})
+    write_weights(folder / "judge.safetensors", any_judge(), {"name": "untrained"})
     files = {"weights": "operator", "paths": "paths", "locator": "locator", "judge": "judge"}
     return OperatorPredictor(
         **{k: folder / f"{name}.safetensors" for k, name in files.items()}, settings=QUICK

@@ -8,9 +8,9 @@ import torch
 from skygain.city import City
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.unets.direct import DirectNet
 from skygain.networks.unets.paper import PaperUNets
+from skygain.networks.weights import write_weights
 from skygain.predictors.networks.paper_unet import PaperUNetPredictor, map_blind_unet
 from skygain.predictors.networks.unet import UNetPredictor
 from skygain.scenario import Scenario
@@ -19,7 +19,7 @@ from skygain.testing.predictors import check_predictor, example_scenario
 
 def saved(network, folder):
     path = folder / "untrained.safetensors"
-    save_checkpoint(path, network.state_dict(), {"name": "untrained"})
+    write_weights(path, network.state_dict(), {"name": "untrained"})
     return path
 
 

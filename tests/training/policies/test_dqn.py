@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
 from skygain.networks.unets.paper import PaperUNets
 from skygain.planners import create_planner
 from skygain.predictors import create_predictor
 from skygain.testing.planners import check_planner, planner_scenarios
+from skygain.training.checkpoints import load_checkpoint, save_checkpoint
 from skygain.training.policies.dqn import train_dqn
 from skygain.training.policies.imitation import ImitationConfig, train_imitation
 from skygain.training.policies.learner import DqnConfig

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from skygain.networks.checkpoints import load_checkpoint
 from skygain.planners import create_planner
 from skygain.predictors import create_predictor
 from skygain.testing.planners import check_planner, planner_scenarios
+from skygain.training.checkpoints import load_checkpoint
 from skygain.training.policies.imitation import ImitationConfig, train_imitation
 
 

@@ -11,9 +11,9 @@ from skygain.datasets.layout import CityRecord
 from skygain.datasets.writer import write_dataset
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import save_checkpoint
 from skygain.networks.operator.evidence import CHANNELS
 from skygain.networks.operator.path_model import USED
+from skygain.training.checkpoints import save_checkpoint
 from skygain.training.pools import flown_cities
 from skygain.training.tasks.locator import LocatorTask
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
+from skygain.networks.weights import read_weights
 
 Array = NDArray[np.float32]
 
@@ -173,15 +174,12 @@ class CandidateJudge:
         Raises:
             InputError: the file is not a judge's, or that of a judge with other inputs.
         """
-        from skygain.networks.checkpoints import load_checkpoint
-
-        tensors, _ = load_checkpoint(path)
-        if "centre" not in tensors or tensors["centre"].shape != (INPUTS,):
+        found = read_weights(path).arrays
+        if "centre" not in found or found["centre"].shape != (INPUTS,):
             raise InputError(
                 f"{path} holds no weights of a judge of this version; make them with: skygain "
                 "train predictor --recipe judge"
             )
-        found = {key: value.float().numpy() for key, value in tensors.items()}
         count = sum(key.endswith(".matrix") for key in found)
-        layers = tuple((found[f"{i}.matrix"].copy(), found[f"{i}.offset"]) for i in range(count))
+        layers = tuple((found[f"{i}.matrix"], found[f"{i}.offset"]) for i in range(count))
         return cls(found["centre"], found["scale"], found["linear"], layers)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from skygain.networks.operator.evidence import CHANNELS, TEMPERED
 from skygain.networks.operator.network import OperatorConfig, ResidualUNet
+from skygain.networks.scales import OPEN_LOGITS
 
 OPEN = CHANNELS.index("open")
 SIZES = OperatorConfig(stem=24, widths=(40, 64, 96), blocks=(1, 1, 2))
@@ -17,7 +18,7 @@ SIZES = OperatorConfig(stem=24, widths=(40, 64, 96), blocks=(1, 1, 2))
 
 class LocatorNet(ResidualUNet):
     """``[batch, channel, row, col]`` → log probability ``[batch, row * col]``, minus infinity where
-    nothing can stand.
+    nothing can stand; `logits` is the same as a map and not yet normalised.
 
     The network corrects the tempered likelihood it is given and starts from it.
     """
@@ -28,8 +29,11 @@ class LocatorNet(ResidualUNet):
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
         self.power = nn.Parameter(torch.tensor(5.0))
 
+    def logits(self, inputs: Tensor) -> Tensor:
+        """``[batch, row, col]``"""
+        correction = OPEN_LOGITS * self.body(inputs)[:, 0]
+        logits = self.power * inputs[:, TEMPERED].float() + correction
+        return logits.masked_fill(inputs[:, OPEN] <= 0, -torch.inf)
+
     def forward(self, inputs: Tensor) -> Tensor:
-        logits = self.power * inputs[:, TEMPERED].float() + 5.0 * self.body(inputs)[:, 0]
-        return torch.log_softmax(
-            logits.masked_fill(inputs[:, OPEN] <= 0, -torch.inf).flatten(1), dim=1
-        )
+        return torch.log_softmax(self.logits(inputs).flatten(1), dim=1)

@@ -19,9 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from skygain.networks.operator.features import CHANNELS
-
-FREE_SPACE_5GHZ_DB = -46.43
-"""free-space gain between isotropic antennas at 1 m and 5 GHz"""
+from skygain.networks.scales import FREE_SPACE_5GHZ_DB, LARGEST_STD_DB, SMALLEST_STD_DB
 
 
 @dataclass(frozen=True)
@@ -131,6 +129,6 @@ class PropagationOperator(ResidualUNet):
         )
         mean = free_space + 20.0 * out[:, 0]
         log_variance = (math.log(100.0) + 2.0 * out[:, 1]).clamp(
-            math.log(0.5**2), math.log(40.0**2)
+            2 * math.log(SMALLEST_STD_DB), 2 * math.log(LARGEST_STD_DB)
         )
         return mean, log_variance

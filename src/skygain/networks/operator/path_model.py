@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.networks.operator.features import CHANNELS, fill_cells
+from skygain.networks.scales import FREE_SPACE_5GHZ_DB
+from skygain.networks.weights import read_weights
 
-FREE_SPACE_5GHZ_DB = -46.43
 LOG_DISTANCE = CHANNELS.index("log_distance")
 USED = tuple(i for i, name in enumerate(CHANNELS) if not name.startswith("direction"))
 """channels the model sees; the compass direction of one path means nothing"""
@@ -70,16 +71,10 @@ class PathModel:
     @classmethod
     def load(cls, path: Path) -> PathModel:
         """Read a weight file."""
-        from skygain.networks.checkpoints import load_checkpoint
-
-        tensors, _ = load_checkpoint(path)
-        count = len(tensors) // 2
+        arrays = read_weights(path).arrays
         return cls(
             tuple(
-                (
-                    tensors[f"{i}.weight"].float().T.numpy().copy(),
-                    tensors[f"{i}.bias"].float().numpy(),
-                )
-                for i in range(count)
+                (np.ascontiguousarray(arrays[f"{i}.weight"].T), arrays[f"{i}.bias"])
+                for i in range(len(arrays) // 2)
             )
         )

@@ -20,11 +20,14 @@ __all__ = [
     "centred_view",
     "last_moves",
     "moves_of",
+    "paper_view",
+    "policy_views",
     "turned_moves",
     "turned_view",
 ]
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -32,6 +35,8 @@ from numpy.typing import NDArray
 
 from skygain.flight.moves import MOVES
 from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
+from skygain.networks.policies.planes import planes
 
 NEAR, FAR, BLOCK = 33, 27, 7
 NEAR_CHANNELS = ("std", "mean", "flyable", "height", "measured", "others")
@@ -171,3 +176,35 @@ def turned_view(view: View, symmetry: int) -> View:
     turned[:, turned_moves(symmetry)] = numbers[:, :4]
     near, far = (np.ascontiguousarray(m[:, :, rows, cols].transpose(axes)) for m in (near, far))
     return near, far, turned
+
+
+def paper_view(seen: Seen, side: int, symmetry: int = 0) -> NDArray[np.float32]:
+    """``[sample, plane, side, side]`` of the paper's network under a symmetry of the square;
+    smaller maps are embedded in ground without doubt.
+
+    Raises:
+        InputError: the map is larger than the network's.
+    """
+    room = side - np.array(seen.mean.shape[1:])
+    if room.min() < 0:
+        raise InputError(
+            f"this policy network sees maps of up to {side} × {side} cells, got "
+            f"{seen.mean.shape[1:]}; crop the city or use a policy with a centred view"
+        )
+    mean, std, height = (
+        np.pad(m, ((0, 0), (0, room[0]), (0, room[1]))) for m in (seen.mean, seen.std, seen.height)
+    )
+    x = planes(mean, std, height, seen.cells, seen.uav)
+    x = x[:, :, :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
+    return np.ascontiguousarray(x.transpose(0, 1, 3, 2) if symmetry & 4 else x)
+
+
+def policy_views(
+    shape: dict[str, Any], seen: Seen, count: int
+) -> list[tuple[NDArray[np.float32], ...]]:
+    """What the network that ``shape`` describes is called with, under the first ``count``
+    symmetries; the paper's, whose view is not centred, under the first alone."""
+    if shape["network"] == "paper":
+        return [(paper_view(seen, shape["side"]),)]
+    view = centred_view(seen)
+    return [turned_view(view, symmetry) for symmetry in range(count)]

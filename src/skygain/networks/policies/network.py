@@ -8,11 +8,11 @@ from __future__ import annotations
 
 __all__ = ["POLICY_NETWORKS", "CentredNetwork", "PaperQNetwork", "policy_network"]
 
-from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skygain.flight.moves import N_MOVES
@@ -22,11 +22,11 @@ from skygain.networks.policies.inputs import (
     NEAR_CHANNELS,
     NUMBERS,
     Seen,
-    View,
     centred_view,
+    paper_view,
     turned_view,
 )
-from skygain.networks.policies.planes import PLANES, planes
+from skygain.networks.policies.planes import PLANES
 
 
 class PaperQNetwork(nn.Module):
@@ -36,9 +36,6 @@ class PaperQNetwork(nn.Module):
     The table's third layer of 16 × 16 does not follow from 24 × 24 by any stride; with stride 2 it
     is 12 × 12.
     """
-
-    centred: ClassVar[bool] = False
-    """whether the view is the same wherever the UAV is"""
 
     def __init__(self, atoms: int = 40, side: int = 96, dueling: bool = False) -> None:
         if dueling:
@@ -66,33 +63,12 @@ class PaperQNetwork(nn.Module):
         )
 
     def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
-        """What the network is called with under a symmetry of the square; smaller maps are embedded
-        in ground without doubt.
+        """What the network is called with under a symmetry of the square.
 
         Raises:
             InputError: the map is larger than the network's.
         """
-        room = self.side - np.array(seen.mean.shape[1:])
-        if room.min() < 0:
-            raise InputError(
-                f"this policy network sees maps of up to {self.side} × {self.side} cells, got "
-                f"{seen.mean.shape[1:]}; crop the city or "
-                "use a policy with a centred view"
-            )
-        mean, std, height = (
-            np.pad(m, ((0, 0), (0, room[0]), (0, room[1])))
-            for m in (seen.mean, seen.std, seen.height)
-        )
-        x = planes(mean, std, height, seen.cells, seen.uav)
-        x = x[:, :, :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
-        x = x.transpose(0, 1, 3, 2) if symmetry & 4 else x
-        return (
-            torch.from_numpy(np.ascontiguousarray(x)).contiguous(memory_format=torch.channels_last),
-        )
-
-    def all_inputs(self, seen: Seen, count: int) -> Iterator[tuple[Tensor, ...]]:
-        """`inputs` under the first ``count`` symmetries."""
-        return (self.inputs(seen, symmetry) for symmetry in range(count))
+        return _tensors(paper_view(seen, self.side, symmetry))
 
     def forward(self, x: Tensor) -> Tensor:
         return self.head(self.features(x).flatten(1)).float().view(-1, N_MOVES, self.atoms)
@@ -101,9 +77,6 @@ class PaperQNetwork(nn.Module):
 class CentredNetwork(nn.Module):
     """Two convolutional towers over the two scales of the centred view, joined by dense layers; 0.8
     million weights."""
-
-    centred: ClassVar[bool] = True
-    """whether the view is the same wherever the UAV is"""
 
     def __init__(self, atoms: int = 1, side: int = 0, dueling: bool = False) -> None:
         super().__init__()
@@ -121,12 +94,7 @@ class CentredNetwork(nn.Module):
 
     def inputs(self, seen: Seen, symmetry: int = 0) -> tuple[Tensor, ...]:
         """What the network is called with under a symmetry of the square."""
-        return _tensors(turned_view(centred_view(seen), symmetry))
-
-    def all_inputs(self, seen: Seen, count: int) -> Iterator[tuple[Tensor, ...]]:
-        """`inputs` under the first ``count`` symmetries."""
-        view = centred_view(seen)
-        return (_tensors(turned_view(view, symmetry)) for symmetry in range(count))
+        return _tensors(*turned_view(centred_view(seen), symmetry))
 
     def forward(self, near: Tensor, far: Tensor, numbers: Tensor) -> Tensor:
         x = self.body(
@@ -138,12 +106,10 @@ class CentredNetwork(nn.Module):
         return out - out.mean(dim=1, keepdim=True) + self.value(x).float()[:, None]
 
 
-def _tensors(view: View) -> tuple[Tensor, ...]:
-    near, far, numbers = (torch.from_numpy(m) for m in view)
-    return (
-        near.contiguous(memory_format=torch.channels_last),
-        far.contiguous(memory_format=torch.channels_last),
-        numbers,
+def _tensors(*arrays: NDArray[np.float32]) -> tuple[Tensor, ...]:
+    return tuple(
+        t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t
+        for t in map(torch.from_numpy, arrays)
     )
 
 

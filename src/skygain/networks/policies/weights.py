@@ -6,33 +6,20 @@ The paper's policy network has 19 million weights, 99 % of them in one dense lay
 
 from __future__ import annotations
 
-__all__ = ["export_policy", "load_policy", "policy_file"]
+__all__ = ["definition_of", "export_policy", "policy_file"]
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor, nn
-
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
-from skygain.networks.policies.network import policy_network
-from skygain.networks.quantised import dequantised, quantised
-from skygain.networks.weights import LARGE, find_weights
+from skygain.networks.weights import find_weights, packed, write_weights
 
 
-def export_policy(state: dict[str, Tensor], path: Path, card: dict[str, Any]) -> None:
+def export_policy(state: Mapping[str, Any], path: Path, card: dict[str, Any]) -> None:
     """Write the weights ``state`` with ``card`` (its key ``policy`` describes the network) to
     ``path``, and the card as JSON beside it."""
-    tensors: dict[str, Tensor] = {}
-    for key, value in state.items():
-        if value.ndim == 2 and value.numel() >= LARGE:
-            tensors |= quantised(key, value, 8)
-        else:
-            tensors[key] = value.to(torch.float16).contiguous()
-    save_checkpoint(path, tensors, card)
-    path.with_suffix(".json").write_text(json.dumps(card, indent=2) + "\n")
+    write_weights(path, packed(state, bits=8), card)
 
 
 def policy_file(weights: str | Path) -> Path:
@@ -54,30 +41,12 @@ def policy_file(weights: str | Path) -> Path:
         ) from None
 
 
-def load_policy(weights: str | Path) -> tuple[nn.Module, Tensor | None]:
-    """A trained policy by name or file: the network, and the support of its returns (``None`` for
-    an imitator).
+def definition_of(card: dict[str, Any], path: Path) -> str:
+    """The definition of the network that the card of a policy's file describes.
 
     Raises:
-        InputError: there are no such weights, or the file is no policy's.
+        InputError: the file is no policy's.
     """
-    path = policy_file(weights)
-    tensors, card = load_checkpoint(path)
     if "policy" not in card:
         raise InputError(f"{path} holds no policy; give a file written by `skygain train policy`")
-    shape = card["policy"]
-    network = policy_network(shape)
-    state = {key: value.float() for key, value in dequantised(tensors).items()}
-    missing, unexpected = network.load_state_dict(state, strict=False)
-    if missing or unexpected:
-        raise InputError(
-            f"{path} does not fit its network (first mismatch: {(missing + unexpected)[0]}); "
-            "export it again"
-        )
-    network.eval()
-    z = (
-        None
-        if shape["atoms"] == 1
-        else torch.linspace(shape["v_min"], shape["v_max"], shape["atoms"])
-    )
-    return network, z
+    return f"policy-{card['policy']['network']}"

@@ -10,15 +10,7 @@ output could not be a variance, so the last layer of the variance gives its loga
 
 from __future__ import annotations
 
-__all__ = [
-    "GAIN_SCALE_DB",
-    "PADDING_DB",
-    "SIDE",
-    "PaperUNet",
-    "PaperUNets",
-    "UpsampledConv2d",
-    "paper_inputs",
-]
+__all__ = ["PaperUNet", "PaperUNets", "UpsampledConv2d"]
 
 import copy
 import itertools
@@ -29,33 +21,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-SIDE = 96
-"""cells along the edge of the map; the dense layer fixes it"""
-PADDING_DB = -250.0
-"""c_L, the value at cells without a measurement: below every gain"""
-GAIN_CENTRE_DB = -120.0
-GAIN_SCALE_DB = 30.0
-"""gains enter and leave as (gain − centre) / scale"""
-HEIGHT_SCALE_M = 30.0
+from skygain.networks.scales import (
+    GAIN_CENTRE_DB,
+    GAIN_SCALE_DB,
+    PAPER_LARGEST_STD_DB,
+    SMALLEST_STD_DB,
+)
 
 GAIN_CHANNEL = 1
 """of the inputs of a pair that sees the map"""
 ENCODER = (16, 16, 32, 32, 64, 64, 128, 128)
 DECODER = ((256, 128), (256, 64), (128, 32), (64, 16))
-
-
-def paper_inputs(height_m: Tensor, measured_db: Tensor, measured: Tensor, blind: bool) -> Tensor:
-    """``[batch, channel, row, col]`` from heights, gains and the mask of measured cells, each
-    ``[batch, row, col]``.
-
-    The channels are the height map and the measurements padded with c_L; without the height map
-    when ``blind``.
-    """
-    gain = torch.where(measured, measured_db, torch.full_like(measured_db, PADDING_DB))
-    gain = (gain - GAIN_CENTRE_DB) / GAIN_SCALE_DB
-    return (
-        gain[:, None] if blind else torch.stack([height_m / HEIGHT_SCALE_M, gain], dim=1)
-    ).contiguous(memory_format=torch.channels_last)
 
 
 class UpsampledConv2d(nn.Conv2d):
@@ -143,18 +119,13 @@ class PaperUNets(nn.Module):
             if state[key].shape[1] == 2
         }
 
-    def frozen(self) -> PaperUNets:
-        """Made ready to answer, never to be trained again: filters worked out once, and bfloat16
-        where the processor computes in it.
+    def frozen(self, dtype: torch.dtype) -> PaperUNets:
+        """Made ready to answer in ``dtype``, never to be trained again: filters worked out once.
 
         The last layers stay in single precision, so that the answer is not rounded to steps of a
         bfloat16.
         """
-        native = torch.backends.mkldnn.is_available() and bool(
-            torch.ops.mkldnn._is_mkldnn_bf16_supported()
-        )
         self.eval().requires_grad_(False).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        dtype = torch.bfloat16 if native else torch.float32
         for layer in self.modules():
             if isinstance(layer, UpsampledConv2d):
                 weight, bias = layer.filters()
@@ -172,7 +143,8 @@ class PaperUNets(nn.Module):
         inputs = inputs.to(self.mean.dense.weight.dtype)
         mean = GAIN_CENTRE_DB + GAIN_SCALE_DB * self.mean(inputs).float()
         log_variance = math.log(15.0**2) + self.variance(inputs).float()
-        return mean, log_variance.clamp(math.log(0.5**2), math.log(60.0**2))
+        lowest, highest = 2 * math.log(SMALLEST_STD_DB), 2 * math.log(PAPER_LARGEST_STD_DB)
+        return mean, log_variance.clamp(lowest, highest)
 
 
 def _same(conv: nn.Module, x: Tensor) -> Tensor:

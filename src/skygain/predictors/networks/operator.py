@@ -107,6 +107,8 @@ class OperatorPredictor(Predictor):
     candidates"""
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     """inference settings"""
+    runtime: str = "onnx"
+    """what runs the networks, see `skygain.networks.runtime`"""
     transmitter: Literal["required", "optional", "unused"] = field(
         init=False, repr=False, default="optional"
     )
@@ -172,7 +174,9 @@ class OperatorPredictor(Predictor):
             network = (
                 kept.network
                 if kept is not None
-                else OperatorNetwork(self.weights, self.paths, self.locator, self.judge)
+                else OperatorNetwork(
+                    self.weights, self.paths, self.locator, self.judge, self.runtime
+                )
             )
             self._kept[key] = OperatorMaps(network, scenario)
             while len(self._kept) > KEPT_SCENARIOS:

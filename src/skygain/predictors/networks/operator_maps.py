@@ -5,20 +5,22 @@ from __future__ import annotations
 
 __all__ = ["OperatorMaps", "OperatorNetwork", "frequency_shift_db"]
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.networks.operator.evidence import EvidenceSums, evidence_channels
+from skygain.networks.operator.features import operator_inputs
+from skygain.networks.operator.judge import CandidateJudge
+from skygain.networks.operator.path_model import PathModel
+from skygain.networks.runtime import Network, load
+from skygain.networks.weights import weight_file
 from skygain.scenario import Scenario
 
-if TYPE_CHECKING:
-    from skygain.networks.operator.evidence import EvidenceSums
-
-CHUNK = 8
+CHUNK = 32
 """positions evaluated together"""
 OFFSET_DB = 110.0
 """gains are kept as float16 about this value: steps of 0.06 dB at most where they lie"""
@@ -28,95 +30,51 @@ space"""
 
 
 class OperatorNetwork:
-    """The trained network as a plain function of arrays; PyTorch is loaded with it."""
+    """The trained networks as plain functions of arrays."""
 
     def __init__(
         self,
-        weights: Any = "operator",
-        paths: Any = "path-model",
-        locator: Any = "locator",
-        judge: Any = "judge",
+        weights: str | Path = "operator",
+        paths: str | Path = "path-model",
+        locator: str | Path = "locator",
+        judge: str | Path = "judge",
+        runtime: str = "onnx",
     ) -> None:
-        from skygain.networks.operator.judge import CandidateJudge
-        from skygain.networks.operator.network import PropagationOperator
-        from skygain.networks.operator.path_model import PathModel
-        from skygain.networks.weights import load_network, weight_file
-
         self.judge = CandidateJudge.load(weight_file(judge)) if str(judge) else None
         self.paths = PathModel.load(weight_file(paths))
-        self._locator: Any = None
-        self._located_by = locator
-        self.network = PropagationOperator()
-        self.card = load_network(self.network, weights)
-        self.profile = bool(
-            self.card.get("recipe", self.card.get("config", {}))
-            .get("task", {})
-            .get("profile", True)
-        )
+        self._locator_weights, self._runtime = locator, runtime
+        self.network = load("operator", weights, runtime)
+        self.profile = bool(self.network.weights.task.get("profile", True))
 
     def maps(
         self, scenario: Scenario, altitude_m: float, positions: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
         """(mean in dB, standard deviation), each ``[position, row * col]`` float32, for
         ``positions[k, (row, col, z)]``."""
-        import torch
-
-        from skygain.networks.operator.features import operator_inputs
-
         heights, spacing = scenario.city.height_m, scenario.grid.spacing_m
-        shift = frequency_shift_db(scenario)
-        means, stds = [], []
-        with torch.inference_mode(), _autocast(), _threads_for(len(positions)):
-            for first in range(0, len(positions), CHUNK):
-                inputs = operator_inputs(
-                    heights, spacing, positions[first : first + CHUNK], altitude_m, self.profile
-                )
-                mean, log_variance = self.network(
-                    torch.from_numpy(inputs).to(memory_format=torch.channels_last)
-                )
-                means.append(mean.flatten(1).numpy() + shift)
-                stds.append(torch.exp(0.5 * log_variance).flatten(1).numpy())
-        return np.concatenate(means), np.concatenate(stds)
+        means, stds = np.empty((2, len(positions), heights.size), dtype=np.float32)
+        for first in range(0, len(positions), CHUNK):
+            part = slice(first, first + CHUNK)
+            inputs = operator_inputs(heights, spacing, positions[part], altitude_m, self.profile)
+            mean, log_variance = self.network(inputs)
+            means[part] = mean.reshape(len(mean), -1)
+            stds[part] = np.exp(0.5 * log_variance).reshape(len(mean), -1)
+        return means + np.float32(frequency_shift_db(scenario)), stds
 
-    def located(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+    @cached_property
+    def _locator(self) -> Network:
+        return load("locator", self._locator_weights, self._runtime)
+
+    def located(self, channels: NDArray[np.float32]) -> NDArray[np.float64]:
         """``[row, col]`` probability of every square from the maps of `evidence_channels`."""
-        import torch
-
-        from skygain.networks.operator.locator import LocatorNet
-        from skygain.networks.weights import load_network
-
-        if self._locator is None:
-            self._locator = LocatorNet()
-            load_network(self._locator, self._located_by)
-        with torch.inference_mode(), _autocast(), _threads_for(1):
-            inputs = torch.from_numpy(channels[None]).to(memory_format=torch.channels_last)
-            return torch.exp(self._locator(inputs)[0]).numpy().reshape(channels.shape[1:])
+        (logits,) = self._locator(channels[None])
+        weight = np.exp(logits[0].astype(float) - logits.max())
+        return weight / weight.sum()
 
 
 def frequency_shift_db(scenario: Scenario) -> float:
     """Free-space gain at the scenario's carrier minus that at the trained one."""
     return -20.0 * float(np.log10(scenario.frequency_hz / TRAINED_HZ))
-
-
-def _autocast() -> Any:
-    import torch
-
-    bf16 = torch.backends.mkldnn.is_available() and torch.ops.mkldnn._is_mkldnn_bf16_supported()
-    return torch.autocast("cpu", dtype=torch.bfloat16) if bf16 else contextlib.nullcontext()
-
-
-@contextlib.contextmanager
-def _threads_for(maps: int) -> Iterator[None]:
-    """One thread for a few maps: several would spend an update waiting for each other."""
-    import torch
-
-    before = torch.get_num_threads()
-    if maps < CHUNK:
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @dataclass(eq=False)
@@ -173,8 +131,6 @@ class OperatorMaps:
 
     def transmitter_probability(self, evidence: EvidenceSums) -> NDArray[np.float64]:
         """``[k]`` probability of every square of the evidence, as the locator sees it."""
-        from skygain.networks.operator.evidence import evidence_channels
-
         s = self.scenario
         found = self.network.located(
             evidence_channels(evidence, s.city.height_m, s.grid.spacing_m, s.uav_altitude_m)

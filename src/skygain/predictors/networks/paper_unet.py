@@ -9,12 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
+from skygain.networks.runtime import Network, load
+from skygain.networks.scales import PAPER_SIDE
+from skygain.networks.unets.inputs import paper_inputs
 from skygain.predictors.base import Predictor
 from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.scenario import Scenario
@@ -29,6 +31,8 @@ class PaperUNetPredictor(Predictor):
     """name or file of the weights"""
     blind: bool = False
     """the map-blind twin"""
+    runtime: str = "onnx"
+    """what runs the network, see `skygain.networks.runtime`"""
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         """The belief before the first measurement.
@@ -37,42 +41,31 @@ class PaperUNetPredictor(Predictor):
             InputError: the map is larger than the network's, or flight and prediction differ in
                 altitude.
         """
-        from skygain.networks.unets.paper import SIDE
-
-        if max(scenario.grid.shape) > SIDE:
+        if max(scenario.grid.shape) > PAPER_SIDE:
             raise InputError(
-                f"the paper's U-Net answers for maps of up to {SIDE} × {SIDE} cells, got "
-                f"{scenario.grid.shape}; "
-                "crop the city or use the predictor 'operator'"
+                f"the paper's U-Net answers for maps of up to {PAPER_SIDE} × {PAPER_SIDE} cells, "
+                f"got {scenario.grid.shape}; crop the city or use the predictor 'operator'"
             )
         _ = self._network
         return NetworkBelief.begun(scenario, self._evaluate)
 
     @cached_property
-    def _network(self) -> Any:
-        from skygain.networks.unets.paper import PaperUNets
-        from skygain.networks.weights import load_network
-
-        network = PaperUNets(self.blind)
-        load_network(network, self.weights)
-        return network.frozen()
+    def _network(self) -> Network:
+        return load("paper-unet", self.weights, self.runtime)
 
     def _evaluate(
         self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
     ) -> tuple[NDArray, NDArray]:
-        import torch
-
-        from skygain.networks.unets.paper import SIDE, paper_inputs
-
         rows, cols = gain.shape[1:]
-        room = ((0, 0), (0, SIDE - rows), (0, SIDE - cols))
+        room = ((0, 0), (0, PAPER_SIDE - rows), (0, PAPER_SIDE - cols))
         heights = np.stack([s.city.height_m for s in scenarios])
-        height, gains, mask = (torch.from_numpy(np.pad(m, room)) for m in (heights, gain, measured))
-        with torch.inference_mode():
-            mean, log_variance = self._network(paper_inputs(height, gains, mask, self.blind))
-        return mean[:, :rows, :cols].numpy(), torch.exp(log_variance)[:, :rows, :cols].numpy()
+        maps = (np.pad(m, room) for m in (heights, gain, measured))
+        mean, log_variance = self._network(paper_inputs(*maps, blind=self.blind))
+        return mean[:, :rows, :cols], np.exp(log_variance[:, :rows, :cols])
 
 
-def map_blind_unet(weights: str | Path = "paper-unet-mapblind") -> PaperUNetPredictor:
+def map_blind_unet(
+    weights: str | Path = "paper-unet-mapblind", runtime: str = "onnx"
+) -> PaperUNetPredictor:
     """The same network without the height map (paper, section VIII-E)."""
-    return PaperUNetPredictor(weights=weights, blind=True)
+    return PaperUNetPredictor(weights=weights, blind=True, runtime=runtime)

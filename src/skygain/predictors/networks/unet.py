@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.networks.runtime import Network, load
+from skygain.networks.unets.inputs import direct_inputs
 from skygain.predictors.base import Predictor
 from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.scenario import Scenario
@@ -25,32 +26,21 @@ class UNetPredictor(Predictor):
 
     weights: str | Path = "unet"
     """name or file of the weights"""
+    runtime: str = "onnx"
+    """what runs the network, see `skygain.networks.runtime`"""
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         _ = self._network
         return NetworkBelief.begun(scenario, self._evaluate)
 
     @cached_property
-    def _network(self) -> Any:
-        from skygain.networks.unets.direct import DirectNet
-        from skygain.networks.weights import load_network
-
-        network = DirectNet()
-        load_network(network, self.weights)
-        return network
+    def _network(self) -> Network:
+        return load("unet", self.weights, self.runtime)
 
     def _evaluate(
         self, scenarios: Sequence[Scenario], gain: NDArray[np.float32], measured: NDArray[np.bool_]
     ) -> tuple[NDArray, NDArray]:
-        import torch
-
-        from skygain.networks.unets.direct import direct_inputs
-
-        height = torch.from_numpy(np.stack([s.city.height_m for s in scenarios]))
-        altitude = torch.tensor([float(s.prediction_altitude_m) for s in scenarios])
-        with torch.inference_mode():
-            inputs = direct_inputs(
-                height, torch.from_numpy(gain), torch.from_numpy(measured), altitude
-            )
-            mean, log_variance = self._network(inputs)
-        return mean.numpy(), torch.exp(log_variance).numpy()
+        heights = np.stack([s.city.height_m for s in scenarios])
+        altitudes = np.array([s.prediction_altitude_m for s in scenarios])
+        mean, log_variance = self._network(direct_inputs(heights, gain, measured, altitudes))
+        return mean, np.exp(log_variance)

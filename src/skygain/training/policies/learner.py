@@ -19,11 +19,10 @@ from torch import Tensor, nn
 from skygain.environments.rewards import RewardConfig
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
 from skygain.ground.errors import InputError
-from skygain.networks.checkpoints import load_checkpoint
 from skygain.networks.policies.inputs import SYMMETRIES, Seen, turned_moves
 from skygain.networks.policies.network import POLICY_NETWORKS, policy_network
 from skygain.networks.policies.weights import policy_file
-from skygain.networks.quantised import dequantised
+from skygain.networks.weights import read_weights
 from skygain.training.compute import autocast
 from skygain.training.policies.c51 import cross_entropy, expected, masked_argmax, projected, support
 from skygain.training.policies.demonstrations import Demonstrations
@@ -270,8 +269,8 @@ def _warm_start(network: nn.Module, file: str) -> None:
     shape."""
     state = network.state_dict()
     path = policy_file(file)
-    tensors = load_checkpoint(path)[0]
-    tensors = under("network.", tensors) or dequantised(tensors)
+    tensors = {key: torch.from_numpy(a) for key, a in read_weights(path).arrays.items()}
+    tensors = under("network.", tensors) or tensors
     if not any(key in state and state[key].shape == value.shape for key, value in tensors.items()):
         raise InputError(
             f"nothing in {path} fits the network of this run; give the weights of a policy with "
@@ -279,9 +278,7 @@ def _warm_start(network: nn.Module, file: str) -> None:
         )
     network.load_state_dict(
         {
-            key: tensors[key].float()
-            if key in tensors and tensors[key].shape == value.shape
-            else value
+            key: tensors[key] if key in tensors and tensors[key].shape == value.shape else value
             for key, value in state.items()
         }
     )

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from skygain.environments.rewards import RewardConfig
-from skygain.networks.checkpoints import load_checkpoint
+from skygain.networks.graphs import write_graph
 from skygain.networks.policies.weights import export_policy
+from skygain.training.checkpoints import load_checkpoint
 from skygain.training.policies.dqn import train_dqn
 from skygain.training.policies.imitation import SHAPE, ImitationConfig, train_imitation
 from skygain.training.policies.learner import DqnConfig
@@ -65,8 +66,9 @@ def train_policy(
     """Train by recipe ``name`` on the data set ``data`` in folder ``out``, continuing what is
     there; ``changes`` override the recipe.
 
-    The policy ends up as ``out/<name>.safetensors`` with a card beside it. Without ``out`` the run
-    lives in `skygain.networks.weights.runs_folder`, where the planners find it.
+    The policy ends up as ``out/<name>.safetensors`` with a card and its graph beside it.
+    Without ``out`` the run lives in `skygain.networks.weights.runs_folder`, where the planners find
+    it.
 
     Raises:
         InputError: unknown recipe or setting, no such data set, or a checkpoint in ``out`` that is
@@ -92,5 +94,7 @@ def train_policy(
         "scores": result.scores,
         "recipe": kept,
     }
-    export_policy(under("network.", tensors), Path(config.out) / f"{name}.safetensors", card)
+    weights = Path(config.out) / f"{name}.safetensors"
+    export_policy(under("network.", tensors), weights, card)
+    write_graph(name, weights)
     return result

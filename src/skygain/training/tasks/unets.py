@@ -14,8 +14,10 @@ from torch import Tensor, nn
 
 from skygain.datasets.links import Links, View
 from skygain.networks.operator.network import OperatorConfig
-from skygain.networks.unets.direct import DirectNet, direct_inputs
-from skygain.networks.unets.paper import SIDE, PaperUNets, paper_inputs
+from skygain.networks.scales import PAPER_SIDE
+from skygain.networks.unets.direct import DirectNet
+from skygain.networks.unets.inputs import direct_inputs, paper_inputs
+from skygain.networks.unets.paper import PaperUNets
 from skygain.training.likelihood import gaussian_loss
 from skygain.training.tasks.base import Batch, GainTask, odds_for, stacked
 from skygain.training.trajectories import (
@@ -36,12 +38,19 @@ def _mask(shape: tuple[int, int], cells: NDArray[np.int64]) -> NDArray[np.bool_]
     return mask
 
 
-def _surveyed(views: list[View], measured: list[NDArray[np.bool_]]) -> Batch:
-    return {
-        **stacked(views),
-        "height_m": torch.from_numpy(np.stack([v.height_m for v in views])),
-        "measured": torch.from_numpy(np.stack(measured)),
-    }
+def _with_inputs(views: list[View], inputs: NDArray[np.float32]) -> Batch:
+    maps = torch.from_numpy(inputs).contiguous(memory_format=torch.channels_last)
+    return {"inputs": maps, **stacked(views)}
+
+
+def _surveyed(
+    views: list[View], measured: list[NDArray[np.bool_]]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Heights, gains and the mask of measured cells, each ``[sample, row, col]``."""
+    heights, gains = (
+        np.stack([getattr(view, name) for view in views]) for name in ("height_m", "gain_db")
+    )
+    return heights, gains, np.stack(measured)
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,7 @@ class PaperTask(GainTask):
     """one model per altitude"""
     blind: bool = False
     """the map-blind twin sees the measurements only"""
-    side: int = SIDE
+    side: int = PAPER_SIDE
     """cells along the edge of a training window; the network's dense layer allows no other"""
 
     def network(self) -> nn.Module:
@@ -69,15 +78,13 @@ class PaperTask(GainTask):
             paths = random_waypoints(view.outdoor, rng.integers(50, 301, size=self.uavs), rng)
             views.append(view)
             measured.append(_mask(view.outdoor.shape, paths))
-        return _surveyed(views, measured)
+        return _with_inputs(views, paper_inputs(*_surveyed(views, measured), self.blind))
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         return gaussian_loss(*self.predict(network, batch), batch["truth"], batch["mask"])
 
     def predict(self, network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor]:
-        return network(
-            paper_inputs(batch["height_m"], batch["truth"], batch["measured"], self.blind)
-        )
+        return network(batch["inputs"])
 
 
 @dataclass(frozen=True)
@@ -106,10 +113,11 @@ class DirectTask(GainTask):
             links.draw(rng, self.side, odds_for(links, self.altitude_odds), augment)
             for _ in range(size)
         ]
-        return _surveyed(
-            views,
-            [_mask(v.outdoor.shape, measured_cells(v.outdoor, rng, self.planned)) for v in views],
-        )
+        measured = [
+            _mask(v.outdoor.shape, measured_cells(v.outdoor, rng, self.planned)) for v in views
+        ]
+        altitudes = np.array([v.altitude_m for v in views])
+        return _with_inputs(views, direct_inputs(*_surveyed(views, measured), altitudes))
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         return gaussian_loss(
@@ -117,9 +125,7 @@ class DirectTask(GainTask):
         )
 
     def predict(self, network: nn.Module, batch: Batch) -> tuple[Tensor, Tensor]:
-        return network(
-            direct_inputs(batch["height_m"], batch["truth"], batch["measured"], batch["altitude_m"])
-        )
+        return network(batch["inputs"])
 
 
 def measured_cells(

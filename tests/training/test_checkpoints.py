@@ -2,7 +2,7 @@
 
 import torch
 
-from skygain.networks.checkpoints import load_checkpoint, save_checkpoint
+from skygain.training.checkpoints import load_checkpoint, save_checkpoint
 
 
 def test_a_checkpoint_keeps_tensors_and_meta(tmp_path):
