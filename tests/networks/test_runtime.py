@@ -214,12 +214,17 @@ class Absent:
 
 
 sys.meta_path.insert(0, Absent())
-from skygain.app.cli import app
+from skygain.app.cli import main
 
+folder = sys.argv[1]
 for predictor, planner in (("operator", "lookahead"), ("unet", "dqn"), ("paper-unet", "imitation")):
-    out = f"{sys.argv[1]}/{predictor}"
     call = ["survey", "--city", "sample:9", "--predictor", predictor, "--planner", planner]
-    app([*call, "--steps", "4", "--out", out], standalone_mode=False)
+    sys.argv = ["skygain", *call, "--steps", "4", "--out", f"{folder}/{predictor}"]
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            raise
 """
 
 
