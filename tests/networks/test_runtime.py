@@ -10,7 +10,6 @@ import pytest
 
 from skygain.ground.errors import InputError
 from skygain.networks.graphs import export_onnx, graph_of, write_graph
-from skygain.networks.onnx_runtime import graph_file
 from skygain.networks.operator.evidence import CHANNELS as EVIDENCE
 from skygain.networks.operator.features import CHANNELS
 from skygain.networks.policies.inputs import FAR, FAR_CHANNELS, NEAR, NEAR_CHANNELS, NUMBERS
@@ -18,7 +17,7 @@ from skygain.networks.policies.planes import PLANES
 from skygain.networks.processor import bf16_instructions
 from skygain.networks.runtime import DEFINITIONS, Network, load, n_threads
 from skygain.networks.unets.inputs import DIRECT_CHANNELS
-from skygain.networks.weights import find_weights, read_weights, write_weights
+from skygain.networks.weights import find_weights, graph_file, read_weights, write_weights
 
 AGREE = 1e-3
 """dB, nats or logits by which runtimes may differ in float32"""

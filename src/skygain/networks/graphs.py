@@ -20,14 +20,13 @@ from onnx import ModelProto, TensorProto, helper, numpy_helper
 
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
-from skygain.networks.onnx_runtime import KEY, graph_file
 from skygain.networks.operator.evidence import CHANNELS as EVIDENCE
 from skygain.networks.operator.evidence import TEMPERED
 from skygain.networks.operator.features import CHANNELS as PATH_CHANNELS
 from skygain.networks.policies.inputs import FAR, FAR_CHANNELS, NEAR, NEAR_CHANNELS, NUMBERS
 from skygain.networks.policies.planes import PLANES
 from skygain.networks.policies.weights import definition_of
-from skygain.networks.runtime import DEFINITIONS, Definition
+from skygain.networks.runtime import DEFINITIONS, GRAPH_KEY, Definition
 from skygain.networks.scales import (
     FREE_SPACE_5GHZ_DB,
     GAIN_CENTRE_DB,
@@ -39,7 +38,7 @@ from skygain.networks.scales import (
     SMALLEST_STD_DB,
 )
 from skygain.networks.unets.inputs import DIRECT_CHANNELS
-from skygain.networks.weights import Weights, read_weights
+from skygain.networks.weights import Weights, graph_file, read_weights
 
 OPSET, IR_VERSION = 17, 8
 """old enough for every ONNX Runtime that `pyproject.toml` allows"""
@@ -369,7 +368,7 @@ def _model(definition: Definition, weights: Weights) -> ModelProto:
     model = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )
-    model.metadata_props.add(key=KEY, value=definition.name)
+    model.metadata_props.add(key=GRAPH_KEY, value=definition.name)
     return model
 
 

@@ -7,27 +7,19 @@ trained here, the graph is made anew if the package ``onnx`` is installed.
 
 from __future__ import annotations
 
-__all__ = ["function", "graph_file", "session"]
+__all__ = ["function", "session"]
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError, require
-from skygain.networks.runtime import Arrays, Definition, Function
-from skygain.networks.weights import Weights
+from skygain.networks.runtime import GRAPH_KEY, Arrays, Definition, Function
+from skygain.networks.weights import Weights, graph_file
 
-KEY = "skygain"
-"""of a graph's metadata: the name of its definition"""
 QUIET = 4
 """severity of what ONNX Runtime may print: fatal errors only; ours say it in a line"""
-
-
-def graph_file(weights: Path) -> Path:
-    """Where the graph of a weight file stands."""
-    return weights.with_suffix(".onnx")
 
 
 def session(graph: bytes, arrays: dict[str, NDArray[np.float32]]) -> Any:
@@ -61,7 +53,7 @@ def function(definition: Definition, weights: Weights) -> Function:
         graph = graph_of(definition, weights)
     try:
         run = session(graph, weights.arrays)
-        kind = run.get_modelmeta().custom_metadata_map.get(KEY)
+        kind = run.get_modelmeta().custom_metadata_map.get(GRAPH_KEY)
     except Exception as error:  # the library's errors have no common base of their own
         reason = str(error).splitlines()[0]
         raise InputError(

@@ -10,7 +10,7 @@ share a batch. So results do not depend on the number of threads.
 
 from __future__ import annotations
 
-__all__ = ["DEFINITIONS", "RUNTIMES", "Definition", "Network", "load", "n_threads"]
+__all__ = ["DEFINITIONS", "GRAPH_KEY", "RUNTIMES", "Definition", "Network", "load", "n_threads"]
 
 import importlib
 import os
@@ -29,6 +29,8 @@ Arrays = tuple[NDArray[np.float32], ...]
 Function = Callable[..., Arrays]
 """inputs ``[sample, …]`` in float32 → outputs ``[sample, …]`` in float32"""
 
+GRAPH_KEY = "skygain"
+"""of a graph's metadata: the name of its definition"""
 RUNTIMES = {
     "onnx": "skygain.networks.onnx_runtime",
     "torch": "skygain.networks.torch_runtime",

@@ -11,6 +11,7 @@ __all__ = [
     "Weights",
     "export_weights",
     "find_weights",
+    "graph_file",
     "packed",
     "read_card",
     "read_weights",
@@ -103,6 +104,11 @@ def _command(distribution: str) -> str:
 def weight_file(name: str | Path) -> Path:
     """The file ``name`` if it ends in ``.safetensors``, else the weights of that name."""
     return Path(name) if str(name).endswith(".safetensors") else find_weights(str(name))
+
+
+def graph_file(weights: Path) -> Path:
+    """Where the graph of a weight file stands, see `skygain.networks.graphs`."""
+    return weights.with_suffix(".onnx")
 
 
 def read_weights(name: str | Path) -> Weights:

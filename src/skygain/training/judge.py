@@ -118,7 +118,7 @@ class JudgeNetwork(nn.Module):
         found = {"centre": self.centre, "scale": self.scale, "linear": self.linear.weight[0]}
         for i, layer in enumerate(layers):
             found |= {f"{i}.matrix": layer.weight.T, f"{i}.offset": layer.bias}
-        return found
+        return {name: tensor.detach() for name, tensor in found.items()}
 
 
 @dataclass(frozen=True, eq=False)
