@@ -42,5 +42,5 @@ def test_training_flies_once_and_lowers_the_error(tmp_path):
     assert losses[-1] < losses[0]
     assert set(first.scores) == {"cross_entropy", "rmse_db", "rmse_of_nearest_db"}
     assert CandidateJudge.load(tmp_path / "b" / "judge.safetensors").linear.shape == (INPUTS,)
-    with pytest.raises(InputError, match="no setting `finish_steps`"):
-        train_predictor("judge", SAMPLE, tmp_path, finish_steps=3)
+    with pytest.raises(InputError, match="no setting `finish`"):
+        train_predictor("judge", SAMPLE, tmp_path, finish=3)

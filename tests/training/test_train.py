@@ -39,14 +39,12 @@ def test_a_resumed_run_ends_with_the_same_bytes(tmp_path):
 
 def test_a_run_that_finishes_ends_at_rate_zero_and_stays_ended(tmp_path):
     train_predictor("operator", SAMPLE, tmp_path / "parts", total_steps=2, **QUICK)
-    train_predictor(
-        "operator", SAMPLE, tmp_path / "parts", finish_steps=4, max_seconds=0.0, **QUICK
-    )
+    train_predictor("operator", SAMPLE, tmp_path / "parts", finish=4, max_seconds=0.0, **QUICK)
     ended = train_predictor("operator", SAMPLE, tmp_path / "parts", **QUICK)
     assert ended.step == 6
     assert train_predictor("operator", SAMPLE, tmp_path / "parts", **QUICK).step == 6
     train_predictor("operator", SAMPLE, tmp_path / "whole", total_steps=2, **QUICK)
-    whole = train_predictor("operator", SAMPLE, tmp_path / "whole", finish_steps=4, **QUICK)
+    whole = train_predictor("operator", SAMPLE, tmp_path / "whole", finish=4, **QUICK)
     one, two = load_checkpoint(ended.checkpoint)[0], load_checkpoint(whole.checkpoint)[0]
     assert all(torch.equal(one[key], two[key]) for key in one)
 

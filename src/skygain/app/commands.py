@@ -67,7 +67,7 @@ def run_predictor(request: TrainPredictorRequest, progress: Progress) -> str:
 
     changes = _changes(request)
     if request.finish is not None:
-        changes["finish_steps"] = request.finish
+        changes["finish"] = request.finish
     result = train_predictor(request.recipe, request.data, request.out, report=_say, **changes)
     return (
         f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores "

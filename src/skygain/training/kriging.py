@@ -204,7 +204,7 @@ def train_kriging(
     if run.state["of"] != of:
         raise InputError(
             f"{run.folder} holds a fit to other data or with other settings; remove it, or choose "
-            "another file as out"
+            "another file as `out`"
         )
     table = run.state["trends"]
     for altitude in dataset.altitudes_m:

@@ -138,7 +138,7 @@ class Run:
             reason = " ".join(str(error).split())[:120]
             raise InputError(
                 f"{self.path} belongs to another kind of run ({reason}); give the settings it was "
-                "begun with, or another folder as out"
+                "begun with, or another folder as `out`"
             ) from error
 
 

@@ -48,7 +48,7 @@ class TrainConfig:
     """steps over which the learning rate rises from 0"""
     hold_steps: int = 4000
     """from here on the rate falls with 1/√(step / hold_steps); no end need be known in advance"""
-    finish_steps: int = 0
+    finish: int = 0
     """if positive, the rate falls linearly to 0 over so many steps from where the run stands, and
     the run ends; what constant rates leave undecided settles then"""
     average_decay: float = 0.998
@@ -112,8 +112,8 @@ def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
         # finer than the weights exported from it
         load_network(network, kept if kept.exists() else config.start_from, adapt=True)
         _follow(average, network, 0.0)
-    if run.state["finish"] is None and config.finish_steps:
-        run.state["finish"] = [run.step, config.finish_steps]
+    if run.state["finish"] is None and config.finish:
+        run.state["finish"] = [run.step, config.finish]
     finish = run.state["finish"]
     end = config.total_steps if finish is None else sum(finish)
     decay = config.average_decay
