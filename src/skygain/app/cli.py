@@ -157,7 +157,7 @@ def _serve(label: str, request: type[Request], /, config: Path | None = None, **
         asked = request.of(values)
         module, _, function = request.runs.partition(":")
         run = getattr(importlib.import_module(module), function)
-        with shown_progress(label) as tell:
+        with shown_progress(label, lambda text: for_command_line(text, request)) as tell:
             told = run(asked, tell)
     except InputError as error:
         raise InputError(for_command_line(str(error), request)) from error

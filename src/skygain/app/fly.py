@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["fly", "run_survey"]
 
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +27,9 @@ from skygain.reports.flown import Flown
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
-from skygain.survey.requests import CityRequest, RecordingRequest
-from skygain.survey.worlds import open_world, parse_position
+from skygain.survey.requests import RecordingRequest
+from skygain.survey.territory import asked_city, asked_position, at_sea_level, bounded
+from skygain.survey.worlds import open_world
 
 if TYPE_CHECKING:
     from skygain.predictors.base import Predictor
@@ -74,7 +75,13 @@ def fly(request: SurveyRequest, progress: Progress = SILENT) -> Flown:
         if request.replay
         else _simulated(request, setting_seed, progress)
     )
-    scenario = method.visible(setting.scenario, predictor)
+    whole, told_of_areas = bounded(setting.scenario, request)
+    notes = (*setting.notes, *told_of_areas)
+    if setting.source and (notes or setting.source["crs"]):
+        progress.note(f"{setting.source['name']}: {setting.source['place']}")
+    for line in notes:
+        progress.note(f"  {line}")
+    scenario = method.visible(whole, predictor)
     _need_transmitter(scenario, predictor, request)
     cells = start_cells(request.start, scenario, request.uavs, np.random.default_rng(start_seed))
     swarm = Swarm.deployed(scenario, cells, request.steps, request.rules)
@@ -102,6 +109,8 @@ def fly(request: SurveyRequest, progress: Progress = SILENT) -> Flown:
         config=_resolved(request),
         true_transmitter_m=setting.transmitter_m,
         level_label=setting.level_label,
+        notes=notes,
+        source=setting.source,
     )
 
 
@@ -116,6 +125,8 @@ class _Setting:
     transmitter_m: tuple[float, float, float] | None
     title: str
     level_label: str = "channel gain in dB"
+    notes: tuple[str, ...] = ()
+    source: dict[str, Any] | None = None
 
 
 def _simulated(
@@ -135,6 +146,8 @@ def _simulated(
         world.ray_traced,
         world.transmitter_m,
         f"Survey of {world.city.name}",
+        notes=world.source.notes if world.source else (),
+        source=world.source.as_data() if world.source else None,
     )
 
 
@@ -146,35 +159,48 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     progress.phase("reading the recording")
     options = part(request, RecordingRequest)
     recording = read_recording(str(request.replay), **options)
-    city = None
     if request.city is not None:
         progress.phase("reading the city")
-        from skygain.cities import read_city
-
-        options = part(request, CityRequest)
-        del options["city"]
-        city = read_city(request.city, **options).city
+    reading = None if request.city is None else asked_city(request)
+    city = reading.city if reading else None
     grid = city.grid if city else grid_for(recording, request.spacing_m or 4.0, request.box)
     gridded = on_grid(recording, grid)
     transmitter = None
     if request.transmitter != "random":
-        x, y, z = parse_position(request.transmitter)
-        if (
-            grid.crs is not None and abs(x) <= 90 and abs(y) <= 180
-        ):  # degrees: no projected position is that near its origin
-            x, y = grid.xy_m_at_latlon((x, y)).tolist()
-        transmitter = (x, y, z)
+        transmitter = asked_position(request.transmitter, grid)
+    altitude_m, datum_m = request.altitude_m, None
+    if request.above_sea:
+        if city is None:
+            raise InputError("`above_sea` needs to know the ground; give `city` and its `terrain`")
+        city, altitude_m, transmitter, datum_m = at_sea_level(city, altitude_m, transmitter)
     scenario = replay_scenario(
         gridded,
         city,
-        uav_altitude_m=request.altitude_m,
+        uav_altitude_m=altitude_m,
         transmitter_m=transmitter,
         frequency_hz=request.frequency_hz,
     )
+    scenario = replace(scenario, datum_m=datum_m)
+    notes = (*(reading.notes if reading else ()), *gridded.notes)
+    within = int((gridded.recorded & scenario.city.obstructed(altitude_m)).sum())
+    if within:
+        notes = (
+            *notes,
+            f"{within} of {len(gridded)} recorded cells lie inside buildings at "
+            f"{scenario.altitude_text}",
+        )
     title = f"Recorded campaign {Path(str(request.replay)).name}, {len(gridded)} cells"
     label = "channel gain in dB" if gridded.quantity == "gain" else "received power in dBm"
     return _Setting(
-        scenario, ReplayInstrument(gridded), replay_truth(gridded), None, transmitter, title, label
+        scenario,
+        ReplayInstrument(gridded),
+        replay_truth(gridded),
+        None,
+        transmitter,
+        title,
+        label,
+        notes,
+        reading.as_data() if reading else None,
     )
 
 

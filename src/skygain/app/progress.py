@@ -7,7 +7,7 @@ __all__ = ["SILENT", "Progress", "shown_progress"]
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,24 +24,28 @@ class Progress:
     def __call__(self, done: int, total: int, text: str = "") -> None:
         """``done`` of ``total`` parts of the phase are finished; ``text`` says how it goes."""
 
+    def note(self, line: str) -> None:
+        """What should be known now, before the rest is waited for."""
+
 
 SILENT = Progress()
 """shows nothing"""
 
 
 @contextmanager
-def shown_progress(label: str) -> Iterator[Progress]:
-    """A display on standard error, with the time left where it can be told."""
+def shown_progress(label: str, words: Callable[[str], str] = str) -> Iterator[Progress]:
+    """A display on standard error, with the time left where it can be told; ``words`` puts notes
+    into the language of the command line."""
     if sys.stderr.isatty():
-        with _terminal(label) as shown:
+        with _terminal(label, words) as shown:
             yield shown
     else:
-        with _Lines(label) as lines:
+        with _Lines(label, words) as lines:
             yield lines
 
 
 @contextmanager
-def _terminal(label: str) -> Iterator[Progress]:
+def _terminal(label: str, words: Callable[[str], str]) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -73,14 +77,17 @@ def _terminal(label: str) -> Iterator[Progress]:
             def __call__(self, done: int, total: int, text: str = "") -> None:
                 bar.update(self.task, completed=done, total=total, text=text)
 
+            def note(self, line: str) -> None:
+                bar.console.print(words(line), markup=False, highlight=False)
+
         yield Shown()
 
 
 class _Lines(Progress):
     """Lines for a pipe or a log, from a thread: there is news also while one step takes minutes."""
 
-    def __init__(self, label: str) -> None:
-        self._label = label
+    def __init__(self, label: str, words: Callable[[str], str] = str) -> None:
+        self._label, self._words = label, words
         self._name, self._state = "", (0, 0, "")
         self._began = time.monotonic()
         self._pause = _FIRST_S
@@ -93,6 +100,9 @@ class _Lines(Progress):
 
     def __call__(self, done: int, total: int, text: str = "") -> None:
         self._state = (done, total, text)
+
+    def note(self, line: str) -> None:
+        print(self._words(line), file=sys.stderr, flush=True)
 
     def __enter__(self) -> _Lines:
         self._thread.start()

@@ -37,6 +37,7 @@ from skygain.survey.requests import (
     PlaceRequest,
     RecordingRequest,
     ReplayRequest,
+    TerritoryRequest,
 )
 
 
@@ -58,7 +59,9 @@ class OutputRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurveyRequest(PlaceRequest, FlightRequest, MethodRequest, ReplayRequest, OutputRequest):
+class SurveyRequest(
+    PlaceRequest, TerritoryRequest, FlightRequest, MethodRequest, ReplayRequest, OutputRequest
+):
     """Fly one survey and write maps, tables, pictures and a report.
 
     Examples:

@@ -71,11 +71,12 @@ def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
 
 
 def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
-    """The map as a GeoTIFF with three float32 bands, north up, named in their descriptions.
+    """The map as a GeoTIFF with three or four float32 bands, north up, named in their descriptions.
 
     ``mean_db`` and ``std_db`` hold the final estimate, no-data inside buildings; ``measured`` holds
-    the mean of the readings of a cell, no-data where there is none. No-data is NaN. Without a CRS
-    the transform is in the metres of the city's own frame.
+    the mean of the readings of a cell, no-data where there is none; ``ground_m`` is the height of
+    the ground, where one is known. No-data is NaN. Without a CRS the transform is in the metres of
+    the city's own frame.
 
     Returns:
         A note when the geo extra is missing and nothing was written, else ``None``.
@@ -87,6 +88,8 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
     from rasterio.io import MemoryFile
 
     bands = {"mean_db": outcome.mean_db, "std_db": outcome.std_db, "measured": outcome.measured_db}
+    if outcome.scenario.city.ground_m.any():
+        bands["ground_m"] = np.asarray(outcome.scenario.city.ground_m)
     west, _, _, north = outcome.grid.bounds_m
     spacing = outcome.grid.spacing_m
     profile = {
@@ -109,7 +112,7 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
                     np.flipud(values).astype(np.float32), number
                 )  # row 0 is the south, a GeoTIFF begins in the north
                 raster.set_band_description(number, name)
-                raster.set_band_unit(number, "dB")
+                raster.set_band_unit(number, "m" if name == "ground_m" else "dB")
             raster.update_tags(**{key: str(value) for key, value in _facts(outcome).items()})
         with atomic_write(path) as tmp:
             tmp.write_bytes(memory.read())
@@ -157,13 +160,17 @@ def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
             "dB",
             "mean of the channel gains measured in the cell",
         ),
-        "height_m": (outcome.scenario.city.height_m, "m", "building height above the street"),
+        "height_m": (outcome.scenario.city.height_m, "m", "building height above the ground"),
         "outdoor": (
             outcome.scenario.outdoor.astype(np.int8),
             "1",
             "1 where the cell is outdoors at the prediction altitude",
         ),
     }
+    if outcome.scenario.city.ground_m.any():
+        above = _printable(outcome.scenario.city.ground_datum or "its zero")
+        ground = np.ascontiguousarray(outcome.scenario.city.ground_m)
+        layers["ground_m"] = (ground, "m", f"height of the ground above {above}")
     if outcome.outdoor_truth_db is not None:
         layers["truth_db"] = (
             outcome.outdoor_truth_db.astype(np.float32),
@@ -228,10 +235,17 @@ def write_results_json(outcome: Outcome, path: Path) -> None:
             "spacing_m": grid.spacing_m,
             "origin_m": grid.origin_m,
             "crs": grid.crs,
+            "ground_m": [float(scenario.city.ground_m.min()), float(scenario.city.ground_m.max())],
+            "ground_datum": scenario.city.ground_datum,
+            "source": outcome.source,
         },
+        "notes": list(outcome.notes),
         "scenario": {
             "uav_altitude_m": scenario.uav_altitude_m,
             "prediction_altitude_m": scenario.prediction_altitude_m,
+            "altitude": scenario.altitude_text,
+            "altitude_zero_m": scenario.datum_m,
+            "no_fly_cells": 0 if scenario.no_fly is None else int(scenario.no_fly.sum()),
             "frequency_hz": scenario.frequency_hz,
             "transmitter_m": outcome.transmitter_m,
             "transmitter_known": scenario.transmitter_m is not None,
@@ -265,6 +279,7 @@ def _facts(outcome: Outcome) -> dict[str, str | float]:
         "city": _printable(scenario.city.name),
         "prediction_altitude_m": float(scenario.prediction_altitude_m),
         "uav_altitude_m": float(scenario.uav_altitude_m),
+        "altitude": _printable(scenario.altitude_text),
         "frequency_hz": float(scenario.frequency_hz),
     }
     if outcome.transmitter_m is not None:

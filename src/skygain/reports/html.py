@@ -70,6 +70,7 @@ def write_report(outcome: Outcome, path: Path) -> None:
         "last_step": str(frames[-1].step),
         "last_frame": str(len(frames) - 1),
         "scores": _score_table(outcome),
+        "notes": _notes(outcome),
         "settings": _settings_table(outcome.config or {}),
         "version": _escaped(skygain.__version__),
         "data": _for_script(_data(outcome, frames, views)),
@@ -281,7 +282,7 @@ def _lede(outcome: Outcome) -> str:
     uavs = "1 UAV" if swarm.n_uavs == 1 else f"{swarm.n_uavs} UAVs"
     spacing = outcome.grid.spacing_m
     text = (
-        f"{uavs} measured {scenario.city.name} at {scenario.uav_altitude_m:g} m: "
+        f"{uavs} measured {scenario.city.name} at {scenario.altitude_text}: "
         f"{cols * spacing:g} × {rows * spacing:g} m "
         f"in cells of {spacing:g} m, {scenario.frequency_hz / 1e9:g} GHz"
     )
@@ -391,6 +392,18 @@ def _cell(value: float, name: str) -> str:
         return "–"
     return (
         f"{100 * value:.1f} %" if name.startswith("coverage") else f"{value:.2f}".replace("-", "−")
+    )
+
+
+def _notes(outcome: Outcome) -> str:
+    """What was read, mended and assumed, as a card; nothing where there is nothing to tell."""
+    lines = [*([str(outcome.source["place"])] if outcome.source else []), *outcome.notes]
+    if not lines:
+        return ""
+    items = "\n".join(f"      <li>{_escaped(line)}</li>" for line in lines)
+    return (
+        '  <details class="card" open>\n    <summary>What was read and assumed</summary>\n'
+        f"    <ul>\n{items}\n    </ul>\n  </details>"
     )
 
 

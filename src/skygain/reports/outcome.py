@@ -69,6 +69,10 @@ class Outcome:
 
     level_label: str = "channel gain in dB"
     """what is mapped, with its unit; a recording may hold received power instead"""
+    notes: tuple[str, ...] = ()
+    """what the readers of the city, the areas and the recording mended, assumed or left out"""
+    source: Mapping[str, Any] | None = None
+    """the city as it was read (`skygain.cities.Reading.as_data`); ``None`` where it was not"""
 
     def __repr__(self) -> str:
         return f"{self.title}\n{self.summary}"

@@ -13,6 +13,7 @@ __all__ = [
     "PlaceRequest",
     "RecordingRequest",
     "ReplayRequest",
+    "TerritoryRequest",
 ]
 
 import math
@@ -31,12 +32,13 @@ if TYPE_CHECKING:
 class CityRequest(Request):
     """City
 
-    All but ``city`` are arguments of `skygain.cities.read_city`, under the same names.
+    All but ``city`` are fields of `skygain.cities.CityOptions`, under the same names.
     """
 
     city: str | None = None
-    """a seed (7), a height raster (.tif), footprints (.geojson, .gpkg, .shp, .osm), a scene of
-    Sionna RT (munich), traced links: sample or PATH.zarr.zip, one of them with :LINK"""
+    """a seed (7), a height raster (.tif), footprints (.geojson, .gpkg, .shp, .osm, .parquet, …),
+    CityJSON, a scene of Sionna RT (munich, scene.xml), traced links: sample or PATH.zarr.zip, one
+    of them with :LINK"""
     spacing_m: float | None = None
     """side of a cell in metres, for files, scenes and recordings; 4 or the raster's own when left
     out"""
@@ -44,6 +46,16 @@ class CityRequest(Request):
     """coordinate reference system of a file that names none, e.g. EPSG:32617"""
     box: tuple[float, float, float, float] | None = None
     """west,south,east,north of the part wanted, in degrees or metres"""
+    layer: str | None = None
+    """layer with the buildings, of a file with several"""
+    height_field: str | None = None
+    """NAME[:unit] of the column (or number of the band) that holds the heights, in m, ft, cm or
+    dm, e.g. heightroof:ft; z for the polygons' third coordinate"""
+    default_height_m: float | None = None
+    """height of a building without one in metres; 9 when left out"""
+    terrain: str | None = None
+    """the ground beneath: a raster of its height, its height where it is level, band:2 of the city
+    file, or none if its heights are above ground already"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +63,7 @@ class PlaceRequest(CityRequest):
     """Transmitter and truth"""
 
     transmitter: str = "random"
-    """random, or x,y[,z] in the city's metres; on a recording also latitude,longitude[,z]"""
+    """random, or latitude,longitude[,z], or x,y[,z] in the city's metres; z above the ground"""
     propagation: str = named("union", names="skygain.propagation:PROPAGATION")
     """how the truth of a city without one is computed: union (rays and over the rooftops),
     over-rooftop or gudmundson"""
@@ -73,6 +85,19 @@ class PlaceRequest(CityRequest):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TerritoryRequest(Request):
+    """Areas and heights"""
+
+    area: Path | None = None
+    """polygons where the map is wanted (.geojson, .kml, .gpkg, .shp, …)"""
+    no_fly: Path | None = None
+    """polygons where no UAV may be, between their floor and their ceiling where they have them"""
+    above_sea: bool = False
+    """the altitude is above sea level: the flight keeps a level, instead of following the
+    ground"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FlightRequest(Request):
     """Swarm and flight"""
 
@@ -83,7 +108,7 @@ class FlightRequest(Request):
     start: str = "cluster"
     """cluster (all in one square of 40 m) or spread (anywhere)"""
     altitude_m: float = 10.0
-    """altitude of flight and map, metres above the street"""
+    """altitude of flight and map, metres above the ground"""
     min_distance_m: float = 0.0
     """least distance between two UAVs in metres"""
     allow_sharing: bool = False

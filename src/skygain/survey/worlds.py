@@ -7,7 +7,7 @@ propagation model asked for.
 
 from __future__ import annotations
 
-__all__ = ["World", "open_world", "parse_position", "simulated_instrument"]
+__all__ = ["World", "open_world", "simulated_instrument"]
 
 import zipfile
 from collections.abc import Callable
@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.city import City
-from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario, check_transmitter
-from skygain.survey.requests import CityRequest, PlaceRequest
+from skygain.survey.requests import PlaceRequest
+from skygain.survey.territory import asked_city, asked_position, at_sea_level
 
 if TYPE_CHECKING:
+    from skygain.cities import Reading
     from skygain.datasets.store import ChannelDataset, Link
     from skygain.instruments.base import Instrument
 
@@ -48,6 +49,10 @@ class World:
     """altitude of the truth"""
     frequency_hz: float = 5e9
     """carrier frequency"""
+    datum_m: float | None = None
+    """height above the sea of the altitude's zero, where the flight keeps a level"""
+    source: Reading | None = None
+    """the city as it was read, with what its reader assumed; ``None`` for a data set"""
 
     def scenario(self) -> Scenario:
         """What may be known of it, the transmitter included."""
@@ -57,6 +62,7 @@ class World:
             prediction_altitude_m=self.altitude_m,
             transmitter_m=self.transmitter_m,
             frequency_hz=self.frequency_hz,
+            datum_m=self.datum_m,
         )
 
     def instrument(self, noise_db: float = 0.0, rng: np.random.Generator | int = 0) -> Instrument:
@@ -73,25 +79,6 @@ def simulated_instrument(
     if noise_db == 0:
         return PerfectInstrument(truth_db)
     return NoisyInstrument(truth_db, NoiseConfig(std_db=noise_db), rng)
-
-
-def parse_position(text: str) -> tuple[float, float, float]:
-    """``"x,y"`` or ``"x,y,z"`` in metres; z is 1.5 m when left out.
-
-    >>> parse_position("120, 80")
-    (120.0, 80.0, 1.5)
-    """
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3) or not np.isfinite(numbers).all():
-        raise InputError(
-            f"cannot read the position {text!r}; write x,y or x,y,z in metres, for example "
-            "120,80,1.5, or 'random'"
-        )
-    x, y, *z = numbers
-    return x, y, z[0] if z else 1.5
 
 
 def _crop_corner(
@@ -213,7 +200,6 @@ def open_world(
         side = PROTOCOL_CROP if place.crop is None else place.crop
         return _dataset_world(*found, altitude_m, place.frequency_hz, side, rng)
 
-    from skygain.cities import read_city
     from skygain.propagation import PROPAGATION
 
     model = PROPAGATION.factory(place.propagation)
@@ -222,14 +208,21 @@ def open_world(
             "rays alone leave cells without any gain, so they cannot be surveyed; give "
             "`propagation=union`"
         )
-    options = part(place, CityRequest)
-    del options["city"]
-    city = read_city(spec, **options).city
+    reading = asked_city(place)
+    city, datum_m = reading.city, None
     if place.transmitter == "random":
         position = _random_transmitter(city, rng)
     else:
-        position = parse_position(place.transmitter)
+        position = asked_position(place.transmitter, city.grid)
         check_transmitter(city, position)
+    if getattr(place, "above_sea", False):
+        city, altitude_m, found_m, datum_m = at_sea_level(city, altitude_m, position)
+        position = found_m or position
+    elif place.propagation == "union" and not city.is_level:
+        raise InputError(
+            "rays are traced over level ground only; give `propagation=over-rooftop`, or "
+            "`above_sea=True` with an altitude above sea level"
+        )
     side = place.crop
     if side is None:
         side = 0 if Path(spec).suffix else PROTOCOL_CROP
@@ -246,4 +239,13 @@ def open_world(
     else:
         gain_db = model(*where, frequency_hz=place.frequency_hz, seed=seed)[0, 0]
     window_city = city.cropped(row, col, window)
-    return World(window_city, position, gain_db[rows, cols], traced, altitude_m, place.frequency_hz)
+    return World(
+        window_city,
+        position,
+        gain_db[rows, cols],
+        traced,
+        altitude_m,
+        place.frequency_hz,
+        datum_m,
+        reading,
+    )
