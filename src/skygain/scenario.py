@@ -161,7 +161,6 @@ def check_transmitter(city: City, transmitter_m: tuple[float, float, float]) -> 
     roof_m = city.roof_m(position[0], position[1])
     if roof_m > 0 and roof_m >= position[2]:
         raise InputError(
-            f"the transmitter at x={position[0]:.8g} m, y={position[1]:.8g} m, z={position[2]:g} m is "
-            "inside a building "
-            f"{roof_m:g} m high; move it to open ground or above the roof"
+            f"the transmitter at x={position[0]:.8g} m, y={position[1]:.8g} m, z={position[2]:g} m "
+            f"is inside a building {roof_m:g} m high; move it to open ground or above the roof"
         )
