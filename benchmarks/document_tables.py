@@ -49,7 +49,9 @@ def pages() -> list[Path]:
 
 
 def triple(values: list[float]) -> str:
-    """A mean with its interval."""
+    """A mean with its interval, which a single city does not give."""
+    if values[1] is None:
+        return f"{values[0]:.2f}"
     return f"{values[0]:.2f} [{values[1]:.2f}, {values[2]:.2f}]"
 
 

@@ -49,22 +49,22 @@ def kept(results: dict[str, Any]) -> dict[str, Any]:
     """Of a comparison's ``results.json``, the numbers that tables of the documents need."""
     at = [k for k, step in enumerate(results["steps"]) if step in STEPS]
 
-    def short(curve: list[dict[str, float]]) -> list[Any]:
-        return [[round(curve[k][name], 5) for name in ("mean", "low", "high")] for k in at]
+    def brief(value: float | None) -> float | None:
+        return None if value is None else round(value, 5)
+
+    def short(curve: list[dict[str, float | None]]) -> list[Any]:
+        return [[brief(curve[k][name]) for name in ("mean", "low", "high")] for k in at]
 
     methods = {}
     for label, entry in results["methods"].items():
         scores = {name: short(entry["scores"][name]) for name in SCORES if name in entry["scores"]}
-        methods[label] = {"scores": scores, "gof": round(entry["gof"], 5)}
+        methods[label] = {"scores": scores, "gof": brief(entry["gof"])}
     paired = [
         {"method": p["method"], "minus": p["minus"]}
         | {name: short(p[name]) for name in SCORES if name in p}
         for p in results["paired"]
     ]
-    saved = [
-        row | {"flight_saved": row["flight_saved"] and round(row["flight_saved"], 5)}
-        for row in results["flight_saved"]
-    ]
+    saved = [row | {"flight_saved": brief(row["flight_saved"])} for row in results["flight_saved"]]
     steps = [results["steps"][k] for k in at]
     return {"steps": steps, "methods": methods, "paired": paired, "flight_saved": saved}
 
@@ -80,7 +80,6 @@ def evaluations(run: Run) -> list[Table]:
 
     A comparison that was killed goes on. The figure goes to docs/images where a page shows it.
     """
-    rows = []
     for name in run.options.only or entries():
         tables: list[Table] = []
         numbers: dict[str, Any] = {}
@@ -98,5 +97,5 @@ def evaluations(run: Run) -> list[Table]:
                     shutil.copy(folder / "rmse_vs_steps.png", figure)
         record = Record(name, command(name), tables, run.data.name, machine(), numbers)
         record.write(run.options.results)
-        rows.append([name, f"{len(tables)}"])
-    return [Table("Records written.", ["record", "tables"], rows)]
+        print(f"{name}: {len(tables)} tables", flush=True)
+    return []

@@ -146,7 +146,7 @@ class Study:
         return " ".join(words)
 
     def main(self, arguments: Sequence[str]) -> None:
-        """Run it and write its record."""
+        """Run it and write its record, unless it wrote records of its own."""
         parser = self.parser()
         options = parser.parse_args(arguments)
         data = getattr(options, "data", Path(""))
@@ -157,9 +157,10 @@ class Study:
             tables = list(self.measure(Run(options, data, journal)))
         except InputError as error:
             parser.error(str(error))
-        found = Record(options.name, self.command(options), tables, data.name, machine())
-        found.write(options.results)
-        print("\n" + found.markdown())
+        if tables:
+            found = Record(options.name, self.command(options), tables, data.name, machine())
+            found.write(options.results)
+            print("\n" + found.markdown())
 
 
 STUDIES: dict[str, Study] = {}
