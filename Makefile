@@ -33,7 +33,7 @@ check: test lint types docs
 # Pins hold for these two; pyproject.toml has the ranges that should work.
 .venv/demo.stamp: .venv/bin/python pyproject.toml constraints.txt
 	$(PIP) install --quiet --constraint constraints.txt torch
-	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo]'
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo]' --editable packages/paper-weights
 	@touch $@
 
 .venv/test.stamp: .venv/demo.stamp

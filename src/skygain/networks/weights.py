@@ -79,7 +79,7 @@ def find_weights(name: str) -> Path:
     folders = [PACKAGE_WEIGHTS, runs_folder() / name]
     distribution = EXTRA_WEIGHTS.get(name)
     if distribution and (spec := importlib.util.find_spec(distribution.replace("-", "_"))):
-        folders.insert(1, Path(next(iter(spec.submodule_search_locations or ()))))
+        folders[1:1] = map(Path, spec.submodule_search_locations or ())
     for folder in folders:
         if (path := folder / f"{name}.safetensors").exists():
             return path

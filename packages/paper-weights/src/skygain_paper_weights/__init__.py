@@ -1,0 +1,1 @@
+"""Weights of the paper's U-Nets; Skygain finds them in this folder."""
