@@ -55,3 +55,14 @@ def test_links_and_long_lines_are_found(tmp_path):
     page = tmp_path / "page.md"
     assert list(check.wrong_links(page, "[a](b.md), [c](https://d)"))
     assert list(check.long_lines("word " * 30))
+
+
+def test_every_record_names_a_command_that_exists():
+    from benchmarks.evaluations import entries
+    from benchmarks.record import Record, names
+
+    assert set(entries()) <= set(names())
+    for name in names():
+        command = Record.read(name).command
+        assert command.startswith("python ")
+        assert not list(check.wrong_commands(f"`{command}`"))
