@@ -35,6 +35,7 @@ def other():
         ("knn:n=3", "no option 'n'; known: k"),
         ("knn:k", "name:key=value"),
         ("kriging:parameters=x", "no option 'parameters'; known: trend, refit"),
+        ("kriging-blind:trend=quadratic", "no option 'trend'; known: refit"),
         ("kriging:refit=3", "must be true or false"),
         ("kriging-blind:refit=maybe", "must be true or false"),
         ("nowhere.at.all:Predictor", "package.module:Class"),

@@ -33,7 +33,9 @@ def run_methods(request: MethodsRequest, progress: Progress = SILENT) -> str:
     name = request.name.removesuffix("+tx")
     for registry in _REGISTRIES:
         if name in registry:
-            return f"{registry.kind} {name}\n\n{_explained(registry.factory(name))}"
+            factory = registry.factory(name)
+            told = _about(factory) if registry is PROPAGATION else _explained(factory)
+            return f"{registry.kind} {name}\n\n{told}"
     names = [each for registry in _REGISTRIES for each in registry.names()]
     raise InputError(f"nothing is called {name!r}; {did_you_mean(name, names)}")
 
@@ -50,11 +52,9 @@ def _explained(factory: Callable[..., Any]) -> str:
     for option in options:
         head = f"{option.name} ({option.allowed}; {option.default})"
         text = option.text.replace("``", "")
-        lines.append(textwrap.fill(f"{head}: {text}" if text else head, 96, **_INDENT))
+        told = textwrap.wrap(f"{head}: {text}" if text else head, 90)
+        lines += [f"  {told[0]}", *(f"      {line}" for line in told[1:])]
     return "\n".join(lines)
-
-
-_INDENT = {"initial_indent": "  ", "subsequent_indent": "      "}
 
 
 def _about(factory: Callable[..., Any]) -> str:

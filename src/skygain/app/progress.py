@@ -115,13 +115,15 @@ class _Lines(Progress):
     def _watch(self) -> None:
         while not self._over.wait(self._pause):
             line = self._line()
-            if line != self._last:
+            if line and line != self._last:
                 print(line, file=sys.stderr, flush=True)
                 self._last = line
             self._pause = min(_MOST_S, 2 * self._pause)
 
     def _line(self) -> str:
         done, total, text = self._state
+        if not (self._name or total):
+            return ""
         parts = [f"{self._label}: {self._name}" if self._name else f"{self._label}:"]
         if total:
             parts.append(f"{done}/{total}")

@@ -27,7 +27,7 @@ from skygain.posterior import JointPosterior
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MixturePosterior(JointPosterior):
     """See the module. The variance is the diagonal of K."""
 

@@ -221,6 +221,7 @@ def _as_kind(value: Any, kind: Any) -> Any:
         return _text(value)
     if origin is tuple:
         one = inner[0]
+        parts: list[Any]
         if one is Path:
             parts = [value] if isinstance(value, str | Path) else list(value)
         else:

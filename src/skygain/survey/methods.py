@@ -14,6 +14,7 @@ import ast
 import dataclasses
 import inspect
 import re
+import textwrap
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass
 from functools import lru_cache
@@ -103,7 +104,7 @@ class Option:
 def options_of(factory: Callable[..., Any]) -> list[Option]:
     """What ``factory``, a dataclass or a function that passes options on to one, can be told by
     text. Parameters that only Python can give (a fitted model, a callback) are left out."""
-    found: dict[str, Option] = {}
+    found: dict[str, Option | None] = {}
     made: Any = factory
     if not inspect.isclass(factory):
         for one in inspect.signature(factory).parameters.values():
@@ -111,6 +112,7 @@ def options_of(factory: Callable[..., Any]) -> list[Option]:
                 _add(found, one.name, str(one.annotation), one.default, "")
         name = str(inspect.signature(factory).return_annotation)
         made = getattr(factory, "__globals__", {}).get(name)
+        found |= dict.fromkeys(_set_by(factory) - set(found))
     if dataclasses.is_dataclass(made) and isinstance(made, type):
         texts: dict[str, str] = {}
         for base in reversed(made.__mro__):
@@ -119,10 +121,17 @@ def options_of(factory: Callable[..., Any]) -> list[Option]:
         for field in dataclasses.fields(made):
             if field.init and field.name not in found:
                 _add(found, field.name, str(field.type), field.default, texts.get(field.name, ""))
-    return list(found.values())
+    return [option for option in found.values() if option is not None]
 
 
-def _add(found: dict[str, Option], name: str, kind: str, default: Any, text: str) -> None:
+def _set_by(factory: Callable[..., Any]) -> set[str]:
+    """Options that a function gives by itself to what it makes, so that nobody else can."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(factory)))
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    return {word.arg for call in calls for word in call.keywords if word.arg}
+
+
+def _add(found: dict[str, Option | None], name: str, kind: str, default: Any, text: str) -> None:
     words = re.findall(r"[\"'](.*?)[\"']", kind)
     kinds = [one.strip() for one in re.sub(r"Literal\[.*?\]", "", kind).split("|")]
     known = tuple(one for one in kinds if one in (*_WORDS, "None"))

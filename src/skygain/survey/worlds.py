@@ -223,8 +223,9 @@ def open_world(
             "rays are traced over level ground only; give `propagation=over-rooftop`, or "
             "`above_sea=True` with an altitude above sea level"
         )
-    side = place.crop
-    if side is None:
+    if place.crop is not None:
+        side = place.crop
+    else:
         side = 0 if Path(spec).suffix else PROTOCOL_CROP
     row, col, window = _crop_corner(city.grid.shape, side, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])

@@ -130,7 +130,7 @@ class _Residual:
         return residual @ solved, left
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ResidualPosterior(JointPosterior):
     """The other predictor's map with its residual put right."""
 
