@@ -231,3 +231,13 @@ def test_help_loads_no_numpy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
     assert done.returncode == 0
+
+
+def test_readings_of_a_survey_can_be_flown_over_again(tmp_path: Path) -> None:
+    """The recorded world: its file is read by the group that declares its options."""
+    run_survey(replace(QUICK, out=tmp_path / "first"))
+    recorded = tmp_path / "first" / "measurements.csv"
+    again = fly(SurveyRequest(replay=recorded, predictor="idw", uavs=1, steps=5, start="spread"))
+    assert "measurements.csv" in again.title
+    known = json.loads((tmp_path / "first" / "results.json").read_text())["survey"]
+    assert np.isfinite(again.outdoor_truth_db).sum() <= known["measured_cells"]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skygain.reports import html as report
+from skygain.reports import page_data
 from skygain.reports.html import write_report
 from skygain.reports.outcome import Outcome
 
@@ -167,7 +167,7 @@ def test_a_huge_survey_is_thinned_but_keeps_its_ends(
     make_outcome: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outcome = make_outcome()
-    monkeypatch.setattr(report, "_MOST_MAP_BYTES", 2 * outcome.grid.size * 4)
+    monkeypatch.setattr(page_data, "_MOST_MAP_BYTES", 2 * outcome.grid.size * 4)
     survey = payload(written(outcome, tmp_path))
     assert survey["steps"] == [0, 10, 20, 30]
     assert survey["score_steps"] == outcome.steps  # the chart keeps every point

@@ -55,7 +55,8 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
         )
     writable_folder(out)
     outcome = fly(request, progress)
-    progress.phase("writing")
+    ended = "interrupted, writing what was measured so far"
+    progress.phase(ended if outcome.result.stopped == "interrupted" else "writing")
     notes = outcome.write(out)
     return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
 
