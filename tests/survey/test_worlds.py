@@ -11,7 +11,8 @@ import pytest
 
 from skygain.ground.errors import InputError
 from skygain.survey.requests import PlaceRequest
-from skygain.survey.worlds import open_world, parse_position
+from skygain.survey.territory import parse_position
+from skygain.survey.worlds import open_world
 
 
 def test_a_data_set_may_have_any_name_that_ends_in_zip(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from skygain.instruments import grid_for, joined, on_grid, read_recording, read_
 from skygain.instruments.recording import Recording
 from skygain.survey.mapping import RadioMap, next_places, radio_map
 from skygain.survey.requests import CityRequest, RecordingRequest
-from skygain.survey.worlds import parse_position
+from skygain.survey.territory import asked_position
 
 if TYPE_CHECKING:
     from skygain.grid import Grid
@@ -156,13 +156,7 @@ def _spacing(recording: Recording) -> float:
 
 
 def _transmitter(request: MapRequest, grid: Grid) -> tuple[float, float, float] | None:
-    if request.transmitter is None:
-        return None
-    from skygain.cities.places import position_on
-
-    first, second, z = parse_position(request.transmitter)
-    x, y = position_on(grid, (first, second))
-    return x, y, z
+    return None if request.transmitter is None else asked_position(request.transmitter, grid)
 
 
 def _told(charts: list[RadioMap], threshold: float | None) -> list[str]:
