@@ -162,7 +162,7 @@ def _serve(label: str, request: type[Request], /, config: Path | None = None, **
     except InputError as error:
         raise InputError(for_command_line(str(error), request)) from error
     if told:
-        print(told)
+        print(for_command_line(told, request))
 
 
 def _parameter(one: Asked) -> click.Parameter:

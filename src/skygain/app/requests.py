@@ -15,6 +15,7 @@ __all__ = [
     "DoctorRequest",
     "EvaluateRequest",
     "ExportOnnxRequest",
+    "InspectRequest",
     "MapRequest",
     "MethodsRequest",
     "SurveyRequest",
@@ -123,6 +124,24 @@ class MapRequest(CityRequest, RecordingRequest):
             raise InputError(f"`next_places` must be 0 or more, got {self.next_places}")
         if self.seed < 0:
             raise InputError(f"`seed` must be 0 or more, got {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectRequest(CityRequest, RecordingRequest):
+    """Say what a city file or a log holds and how it would be read, without a flight.
+
+    Examples:
+        skygain inspect buildings.geojson --height-field heightroof:ft
+        skygain inspect surface.tif --terrain ground.tif --picture city.png
+        skygain inspect campaign.csv --columns level=RSRP
+    """
+
+    runs: ClassVar[str] = "skygain.app.inspection:run_inspect"
+
+    file: str = named(argument=True)
+    """the file (or a seed, or the name of a scene)"""
+    picture: Path | None = None
+    """write the city's map as PNG to this file"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,6 +278,7 @@ class ExportOnnxRequest(Request):
 COMMANDS: dict[str, type[Request]] = {
     "survey": SurveyRequest,
     "map": MapRequest,
+    "inspect": InspectRequest,
     "evaluate": EvaluateRequest,
     "methods": MethodsRequest,
     "doctor": DoctorRequest,
