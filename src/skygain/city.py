@@ -28,6 +28,8 @@ class Building:
     """height of the underside, above zero for a bridge or an overhanging part"""
     holes_m: tuple[NDArray[np.float64], ...] = ()
     """inner rings (courtyards), each ``[corner, (x, y)]``"""
+    material: str = "concrete"
+    """what walls and roof are of, a name of `skygain.propagation.launching.materials`"""
 
     def covers(self, x_m: float, y_m: float) -> bool:
         """Whether the point lies inside the footprint (even-odd rule over outer and inner

@@ -17,6 +17,7 @@ import pytest
 from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.datasets import ChannelDataset, build_dataset, describe_dataset, survey_cases
 from skygain.datasets.builder import _locked
+from skygain.datasets.links import load_links
 from skygain.datasets.presets import PRESETS, BuildConfig, preset_config
 from skygain.datasets.summary import dataset_info
 from skygain.ground.errors import InputError
@@ -26,7 +27,6 @@ FAST = BuildConfig(
     cities=(3, 1, 0, 2),
     max_sites=2,
     altitudes_m=(10.0, 20.0),
-    samples=1,
     propagation="gudmundson",
 )
 """six cities without a ray tracer"""
@@ -36,7 +36,7 @@ import sys
 from skygain.datasets.builder import build_dataset
 from skygain.datasets.presets import BuildConfig
 config = BuildConfig(
-    name="fast", cities=(3, 1, 0, 2), max_sites=2, altitudes_m=(10.0, 20.0), samples=1,
+    name="fast", cities=(3, 1, 0, 2), max_sites=2, altitudes_m=(10.0, 20.0),
     propagation="gudmundson",
 )
 if __name__ == "__main__":
@@ -265,3 +265,17 @@ def test_large_maps_are_built_and_surveyed_whole(tmp_path: Path) -> None:
     assert len(set(case.starts)) == 50
     assert np.isfinite(case.truth_db[case.scenario().outdoor]).all()
     assert 0.2 < 1 - case.scenario().outdoor.mean() < 0.5
+
+
+def test_sets_of_different_models_are_not_taken_together(built: Path, tmp_path: Path) -> None:
+    other = build_dataset(
+        replace(FAST, cities=(1, 0, 0, 0), propagation="over-rooftop"), tmp_path / "other.zarr.zip"
+    )
+    assert len(load_links([built, built], "T1")) == 2 * len(load_links(built, "T1"))
+    with pytest.raises(InputError, match=r"one propagation model.*gudmundson.*over-rooftop"):
+        load_links([built, other], "T1")
+
+
+def test_gains_are_stored_in_quarters_of_a_decibel(built: Path) -> None:
+    gain = ChannelDataset.open(built).link(0).truth_db
+    assert np.array_equal(gain * 4, np.rint(gain * 4))

@@ -8,9 +8,8 @@ import pytest
 from skygain.city import City
 from skygain.ground.errors import InputError
 from skygain.propagation import sionna
-from skygain.propagation.diffraction import free_space_gain_db, over_rooftop_gain_db
+from skygain.propagation.diffraction import free_space_gain_db
 from skygain.propagation.sionna import GUARD_DB, trace_gain_db
-from skygain.propagation.truth import trace_truth
 
 from .conftest import box, city_of, needs_rays
 
@@ -177,18 +176,6 @@ def test_roofs_are_kept_away_from_the_cells_by_less_than_a_storey() -> None:
     )
     assert 0.03 < small < protocol < 0.8
     assert large == sionna.LARGEST_CLEARANCE_M
-
-
-def test_truth_is_the_stronger_of_both_and_finite_everywhere(two_boxes: City) -> None:
-    positions, altitudes = [TRANSMITTER, (10.0, 10.0, 1.5)], [10.0, 20.0]
-    truth = trace_truth(two_boxes, positions, altitudes, samples=SAMPLES, seed=1)
-    rays = trace_gain_db(two_boxes, positions, altitudes, samples=SAMPLES, seed=1)
-    roof = over_rooftop_gain_db(two_boxes, positions, altitudes)
-    assert np.isfinite(truth.gain_db).all()
-    assert np.array_equal(truth.gain_db, np.maximum(rays.gain_db, roof))
-    assert np.array_equal(truth.ray_traced, rays.ray_reached & (rays.gain_db >= roof))
-    assert truth.gain_db.dtype == np.float32
-    assert 0.2 < truth.ray_traced.mean() < 1
 
 
 @pytest.mark.parametrize(

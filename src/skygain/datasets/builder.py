@@ -32,7 +32,7 @@ import skygain
 from skygain.cities.manhattan import manhattan_city, transmitter_sites
 from skygain.city import City
 from skygain.datasets.layout import CityRecord
-from skygain.datasets.presets import BuildConfig, preset_config
+from skygain.datasets.presets import DATA_VERSION, BuildConfig, preset_config
 from skygain.datasets.store import ChannelDataset
 from skygain.datasets.writer import write_dataset
 from skygain.ground.errors import InputError
@@ -42,8 +42,10 @@ from skygain.ground.files import atomic_write, writable_folder
 Progress = Callable[[int, int, float | None], None]
 """called with the cities done, the cities in all, and the seconds left (``None`` while unknown)"""
 
-_PACKAGES = ("numpy", "sionna-rt", "mitsuba", "drjit")
-"""packages whose release can change the numbers"""
+_PACKAGES: dict[str, tuple[str, ...]] = {"raytrace": ("sionna-rt", "mitsuba", "drjit")}
+"""packages beside NumPy whose release can change the numbers of a model"""
+_STEPS_PER_DB = 4
+"""gains are rounded to a quarter of a decibel, finer than the truth is known"""
 
 
 def build_dataset(
@@ -98,11 +100,7 @@ def build_dataset(
         _trace_all(config, parts, workers, progress)
         shards = _Shards([_shard(parts, seed) for seed, _ in config.city_seeds])
         first = ChannelDataset.open(shards.paths[0])
-        attributes = {
-            **first.attributes,
-            **_attributes(config, settings),
-            "guarded_cells": shards.sum_of("guarded_cells"),
-        }
+        attributes = {**first.attributes, **_attributes(config, settings)}
         merged = write_dataset(
             parts / "merged.zarr.zip",
             shards,
@@ -163,7 +161,7 @@ def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
         height_m=city.height_m,
         building=_rectangles(city),
         tx_m=sites,
-        gain_db=gain_db,
+        gain_db=np.rint(gain_db * _STEPS_PER_DB) / _STEPS_PER_DB,
         ray_traced=ray_traced,
     )
     attributes = {"frequency_hz": config.frequency_hz, **facts}
@@ -180,21 +178,8 @@ def _truth(
     if config.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
-        truth = trace_truth(
-            city,
-            sites,
-            config.altitudes_m,
-            frequency_hz=config.frequency_hz,
-            samples=config.samples,
-            seed=seed,
-            threads=1,
-        )
-        facts = {
-            "rays_per_transmitter": truth.settings.samples,
-            "max_reflections": truth.settings.max_reflections,
-            "max_diffractions": int(truth.settings.diffraction),
-            "guarded_cells": truth.guarded,
-        }
+        truth = trace_truth(city, sites, config.altitudes_m, frequency_hz=config.frequency_hz)
+        facts = {"rays": truth.settings.facts}
         return truth.gain_db, truth.ray_traced, facts
     from skygain.propagation import PROPAGATION
 
@@ -207,7 +192,7 @@ def _truth(
             f"the model {config.propagation!r} leaves outdoor cells without a gain, so no survey "
             "could use it; take 'union'"
         )
-    return gain_db, np.zeros(gain_db.shape, dtype=bool), {"guarded_cells": 0}
+    return gain_db, np.zeros(gain_db.shape, dtype=bool), {}
 
 
 def _rectangles(city: City) -> NDArray[np.float64]:
@@ -230,10 +215,6 @@ class _Shards(Sequence[CityRecord]):
     def __getitem__(self, i: Any) -> Any:
         return ChannelDataset.open(self.paths[i]).record(0)
 
-    def sum_of(self, attribute: str) -> int:
-        """Sum of an attribute over the shards."""
-        return sum(int(ChannelDataset.open(path).attributes[attribute]) for path in self.paths)
-
 
 def _shard(parts: Path, seed: int) -> Path:
     return parts / f"city-{seed:04d}.zarr.zip"
@@ -250,12 +231,17 @@ def _is_usable(shard: Path) -> bool:
 def _settings(config: BuildConfig) -> dict[str, Any]:
     """All that decides the numbers, as JSON would give it back."""
     releases = {"skygain": skygain.__version__}
-    for package in _PACKAGES:
+    for package in ("numpy", *_PACKAGES.get(config.propagation, ())):
         try:
             releases[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return json.loads(json.dumps({**asdict(config), "releases": releases}))
+    settings = {"data_version": DATA_VERSION, **asdict(config), "releases": releases}
+    if config.propagation == "union":
+        from skygain.propagation.launching.launch import Launching
+
+        settings["rays"] = Launching(frequency_hz=config.frequency_hz).facts
+    return json.loads(json.dumps(settings))
 
 
 def _source_digest() -> str:
@@ -267,7 +253,7 @@ def _source_digest() -> str:
     """
     root = Path(skygain.__file__).parent
     digest = hashlib.sha256()
-    for file in [root / "cities" / "manhattan.py", *sorted((root / "propagation").glob("*.py"))]:
+    for file in [root / "cities" / "manhattan.py", *sorted((root / "propagation").rglob("*.py"))]:
         tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(body := getattr(node, "body", None), list):
@@ -285,6 +271,8 @@ def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, A
     """The data set's own account of where its numbers come from."""
     return {
         "title": f"Manhattan cities, {config.name}",
+        "data_version": DATA_VERSION,
+        "propagation": config.propagation,
         "extent_m": config.city.extent_m,
         "gain": (
             "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean "

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.datasets.layout import SPLITS
+from skygain.datasets.origin import demand_one_origin
 from skygain.datasets.sample import SAMPLE
 from skygain.datasets.store import ChannelDataset
 from skygain.grid import SYMMETRIES, random_corner, turned, turned_cells
@@ -142,10 +143,12 @@ def load_links(paths: Paths, split: str) -> Links:
     """Read one split (``T1`` … ``T4``) of a data set, or of several together.
 
     Raises:
-        InputError: a file is missing or is no data set, none has a city of that split, or their
-            maps differ in size.
+        InputError: a file is missing or is no data set, none has a city of that split, their
+            maps differ in size, or they come from different propagation models.
     """
     several = several_paths(paths)
+    if len(several) > 1:
+        demand_one_origin({path: ChannelDataset.open(path).attributes for path in several})
     found = [read_links(path, split) for path in several]
     links = [part for part in found if part is not None]
     if not links:

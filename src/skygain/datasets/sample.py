@@ -22,6 +22,6 @@ def open_sample() -> ChannelDataset:
 
     >>> dataset = open_sample()
     >>> dataset.splits
-    ('T1', 'T2', 'T3', 'T4')
+    ('T1', 'T2', 'T3', 'T4', 'T4', 'T4', 'T4')
     """
     return ChannelDataset.open(SAMPLE)

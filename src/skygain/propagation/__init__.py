@@ -1,4 +1,4 @@
-"""Where truth comes from: ray tracing, diffraction over the rooftops, their union, and random
+"""Where truth comes from: ray launching, diffraction over the rooftops, their union, and random
 fields.
 
 `PROPAGATION` lists the models by name. Each is called as
@@ -7,13 +7,13 @@ fields.
     seed=0)
 
 and returns the gain in dB, ``[transmitter, altitude, row, col]`` (float32). ``union`` is what
-surveys are simulated on; ``raytrace`` is -inf where no ray reached a cell. Nothing is loaded before
-a model is asked for.
+surveys are simulated on; models of rays alone are -inf where no ray reached a cell. Nothing is
+loaded before a model is asked for.
 """
 
 from __future__ import annotations
 
-__all__ = ["PROPAGATION"]
+__all__ = ["PROPAGATION", "RAYS_ALONE"]
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,11 @@ from numpy.typing import NDArray
 from skygain.ground.registry import Registry
 
 PROPAGATION: Registry[NDArray[np.float32]] = Registry("propagation model")
-PROPAGATION.register("raytrace", "skygain.propagation.models:raytrace")
-PROPAGATION.register("over-rooftop", "skygain.propagation.models:over_rooftop")
-PROPAGATION.register("union", "skygain.propagation.models:union")
-PROPAGATION.register("gudmundson", "skygain.propagation.models:gudmundson")
+PROPAGATION.register("union", "skygain.propagation.truth:union")
+PROPAGATION.register("launch", "skygain.propagation.launching.launch:launch")
+PROPAGATION.register("raytrace", "skygain.propagation.sionna:raytrace")
+PROPAGATION.register("over-rooftop", "skygain.propagation.diffraction:over_rooftop")
+PROPAGATION.register("gudmundson", "skygain.propagation.gudmundson:gudmundson")
+
+RAYS_ALONE = ("launch", "raytrace")
+"""models that leave cells without a gain, so that no survey can use them"""

@@ -25,6 +25,7 @@ __all__ = [
     "bullington_loss_db",
     "free_space_gain_db",
     "knife_edge_loss_db",
+    "over_rooftop",
     "over_rooftop_gain_db",
 ]
 
@@ -93,6 +94,18 @@ def over_rooftop_gain_db(
                 gain[i, j],
             )
     return gain
+
+
+def over_rooftop(
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """The model ``over-rooftop``: `over_rooftop_gain_db`, whatever the seed."""
+    return over_rooftop_gain_db(city, transmitters_m, altitudes_m, frequency_hz=frequency_hz)
 
 
 def free_space_gain_db(distance_m: ArrayLike, frequency_hz: float = 5e9) -> NDArray[np.float64]:

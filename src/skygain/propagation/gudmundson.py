@@ -11,7 +11,9 @@ the torus if that is large enough against δ; the torus is enlarged until no eig
 
 from __future__ import annotations
 
-__all__ = ["gudmundson_gain_db", "shadowing_db"]
+__all__ = ["gudmundson", "gudmundson_gain_db", "shadowing_db"]
+
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.fft
@@ -20,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from skygain.city import City
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
+from skygain.propagation.base import check_altitudes, check_frequency, check_transmitters
 
 ALPHA_DB = 27.0
 BETA_DB_PER_DECADE = 72.0
@@ -29,6 +32,29 @@ DELTA_M = 57.0
 
 LARGEST_TORUS = 2**24
 """most cells of the torus"""
+
+
+def gudmundson(
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """The model ``gudmundson``: log-distance mean plus correlated log-normal shadowing.
+
+    The mean is fitted to 5 GHz and moved to other frequencies as free space is. Shadowing is drawn
+    anew for each transmitter and altitude.
+    """
+    shift_db = -20 * np.log10(check_frequency(frequency_hz) / 5e9)
+    rng = np.random.default_rng(seed)
+    transmitters, altitudes = check_transmitters(city, transmitters_m), check_altitudes(altitudes_m)
+    maps = [
+        [gudmundson_gain_db(city.grid, tx, float(h), rng) + shift_db for h in altitudes]
+        for tx in transmitters
+    ]
+    return np.array(maps, dtype=np.float32)
 
 
 def gudmundson_gain_db(

@@ -47,6 +47,7 @@ __all__ = [
     "RayTracing",
     "check_release",
     "load_backend",
+    "raytrace",
     "scene_object",
     "trace_gain_db",
 ]
@@ -126,6 +127,21 @@ class RayTraced:
     """release of Sionna RT"""
     variant: str = field(default="")
     """Mitsuba variant, tells processor from graphics card"""
+
+
+def raytrace(
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+    samples: int = DEFAULT_SAMPLES,
+) -> NDArray[np.float32]:
+    """The model ``raytrace``: the gain of `trace_gain_db`, -inf where no ray arrived."""
+    return trace_gain_db(
+        city, transmitters_m, altitudes_m, frequency_hz=frequency_hz, seed=seed, samples=samples
+    ).gain_db
 
 
 def trace_gain_db(

@@ -200,10 +200,10 @@ def open_world(
         side = PROTOCOL_CROP if place.crop is None else place.crop
         return _dataset_world(*found, altitude_m, place.frequency_hz, side, rng)
 
-    from skygain.propagation import PROPAGATION
+    from skygain.propagation import PROPAGATION, RAYS_ALONE
 
     model = PROPAGATION.factory(place.propagation)
-    if place.propagation == "raytrace":
+    if place.propagation in RAYS_ALONE:
         raise InputError(
             "rays alone leave cells without any gain, so they cannot be surveyed; give "
             "`propagation=union`"
@@ -235,7 +235,7 @@ def open_world(
     if place.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
-        truth = trace_truth(*where, frequency_hz=place.frequency_hz, seed=seed)
+        truth = trace_truth(*where, frequency_hz=place.frequency_hz)
         gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
     else:
         gain_db = model(*where, frequency_hz=place.frequency_hz, seed=seed)[0, 0]

@@ -1,0 +1,1 @@
+"""A deterministic ray launcher in vertical planes."""
