@@ -22,6 +22,7 @@ import click
 import skygain
 from skygain.app.config import read_config
 from skygain.app.requests import COMMANDS
+from skygain.app.signals import Terminated
 from skygain.ground.declared import Asked, Request
 from skygain.ground.errors import InputError, did_you_mean
 
@@ -40,6 +41,8 @@ def main() -> None:
         text = error.format_message() if isinstance(error, click.ClickException) else str(error)
         print(f"error: {' '.join(text.split())}", file=sys.stderr)
         sys.exit(2)
+    except Terminated as ended:
+        sys.exit(128 + ended.number)
     except (click.Abort, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
         sys.exit(130)

@@ -15,31 +15,40 @@ from numpy.typing import NDArray
 import skygain
 from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import SurveyRequest
+from skygain.app.signals import told_of_signals
 from skygain.evaluation.rollout import Recorder
 from skygain.flight.starts import start_cells
 from skygain.flight.swarm import Swarm
 from skygain.ground.compiling import on_compiling
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
-from skygain.ground.files import writable_folder
+from skygain.ground.files import file_digest, writable_folder
+from skygain.ground.journal import Journal, locked
+from skygain.ground.strict_json import plain
 from skygain.instruments.base import Instrument
 from skygain.reports.flown import Flown
+from skygain.reports.folder import FILES
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
 from skygain.survey.requests import RecordingRequest
+from skygain.survey.tape import FlightTape
 from skygain.survey.territory import asked_city, asked_position, at_sea_level, bounded
 from skygain.survey.worlds import open_world
 
 if TYPE_CHECKING:
     from skygain.predictors.base import Predictor
 
+JOURNAL = "flight.jsonl"
+"""name of the file that keeps a flight while it is under way"""
+
 
 def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
     """Fly the survey and write its folder: results, measurements, maps, pictures and report.
 
-    Everything is checked before the flight; the files appear together at the end. An interrupt ends
-    the flight early and still writes what was learnt.
+    Everything is checked before the flight. Every plan and reading is on the disk before the next
+    step; after any death ``resume`` goes on to the same end. The files appear together at the end.
+    An interrupt ends the flight early and still writes what was learnt.
 
     Returns:
         A few lines for the user: the scores and where everything lies.
@@ -47,22 +56,90 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
     Raises:
         InputError: anything about the request or the folder that the user can put right.
     """
+    if request.resume is not None:
+        held = Journal.header(request.resume / JOURNAL)["request"]
+        request = SurveyRequest.of({**held, "out": request.resume, "overwrite": True})
+        resumed = True
+    else:
+        _check_folder(request)
+        resumed = False
+    out = writable_folder(request.out)
+    with locked(out):
+        if not resumed:
+            (out / JOURNAL).unlink(missing_ok=True)
+        go_on = f"skygain survey --resume {out}"
+        first = (
+            "stopping: the step under way is finished, then everything measured is written. "
+            f"Ctrl-C again ends at once; {go_on}  flies the rest"
+        )
+        kept = f"ended; every reading is kept, go on with: {go_on}"
+        with told_of_signals(first, kept), _journal(request) as journal:
+            try:
+                outcome = fly(request, progress, journal)
+                early = outcome.result.stopped == "interrupted"
+                progress.phase("writing what was measured so far" if early else "writing")
+                notes = outcome.write(out)
+            except InputError as error:
+                if journal.records:
+                    raise InputError(f"{error}; the flight is kept, go on with: {go_on}") from error
+                raise
+        if outcome.result.stopped == "interrupted":
+            notes = [*notes, f"the rest can be flown with: {go_on}"]
+        else:
+            (out / JOURNAL).unlink()
+    return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
+
+
+def _check_folder(request: SurveyRequest) -> None:
+    """Nothing of anybody is overwritten unasked."""
     out = request.out
-    if (out / "results.json").exists() and not request.overwrite:
+    if request.overwrite:
+        return
+    if (out / "results.json").exists():
         raise InputError(
             f"{out} already holds the results of a survey; give another `out`, or "
             "`overwrite=True` to replace them"
         )
-    writable_folder(out)
-    outcome = fly(request, progress)
-    ended = "interrupted, writing what was measured so far"
-    progress.phase(ended if outcome.result.stopped == "interrupted" else "writing")
-    notes = outcome.write(out)
-    return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
+    if (out / JOURNAL).exists():
+        raise InputError(
+            f"{out} holds a survey that was cut off; `resume={out}` goes on with it, "
+            "`overwrite=True` begins anew"
+        )
+    for name in FILES:
+        if (out / name).exists():
+            raise InputError(
+                f"{out / name} is there already and no survey wrote it; give another `out`, or "
+                "`overwrite=True` to replace it"
+            )
 
 
-def fly(request: SurveyRequest, progress: Progress = SILENT) -> Flown:
-    """Fly the survey that was asked for; nothing is written.
+def _journal(request: SurveyRequest) -> Journal:
+    """The journal of the flight; it belongs to the request, the files it reads and the release."""
+    files = {
+        str(value): file_digest(value)
+        for value in plain(request.stored()).values()
+        for value in _paths(value)
+    }
+    belongs_to = {"request": request.stored(), "files": files, "skygain": skygain.__version__}
+    anew = "give `overwrite=True`"
+    return Journal(request.out / JOURNAL, belongs_to, anew=anew)
+
+
+def _paths(value: Any) -> list[str]:
+    """Files that a value of a request names, alone, in a list or as an option of a method."""
+    if isinstance(value, list):
+        return [path for item in value for path in _paths(item)]
+    if not isinstance(value, str):
+        return []
+    parts = [value, *(part.partition("=")[2] for part in value.split(":"))]
+    return [part for part in parts if part and Path(part).is_file()]
+
+
+def fly(
+    request: SurveyRequest, progress: Progress = SILENT, journal: Journal | None = None
+) -> Flown:
+    """Fly the survey that was asked for. Nothing is written but ``journal``, where there is one:
+    what it holds of this flight is not flown again.
 
     Raises:
         InputError: anything about the request that the user can put right.
@@ -98,9 +175,11 @@ def fly(request: SurveyRequest, progress: Progress = SILENT) -> Flown:
     recorder = Recorder(record, setting.truth_db, setting.ray_traced, keep_maps=True, on_step=told)
     config = SurveyConfig(stop_std_db=request.stop_std_db)
     survey = Survey(scenario, predictor, planner, setting.instrument, config)
+    rng = np.random.default_rng(planner_seed)
+    tape = None if journal is None else FlightTape(journal, [rng, *setting.generators])
     progress.phase("flying")
     with on_compiling(compiling):
-        result = survey.fly(swarm, np.random.default_rng(planner_seed), recorder)
+        result = survey.fly(swarm, rng, recorder, tape)
     recorder.take(result.swarm.steps_flown, result.swarm, result.belief)
     return Flown(
         result,
@@ -128,6 +207,7 @@ class _Setting:
     level_label: str = "channel gain in dB"
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
+    generators: tuple[np.random.Generator, ...] = ()
 
 
 def _simulated(
@@ -140,15 +220,17 @@ def _simulated(
         rng=np.random.default_rng(world_seed),
         told=progress.phase,
     )
+    noise = np.random.default_rng(noise_seed)
     return _Setting(
         world.scenario(),
-        world.instrument(request.noise_db, np.random.default_rng(noise_seed)),
+        world.instrument(request.noise_db, noise),
         world.truth_db,
         world.ray_traced,
         world.transmitter_m,
         f"Survey of {world.city.name}",
         notes=world.source.notes if world.source else (),
         source=world.source.as_data() if world.source else None,
+        generators=(noise,),
     )
 
 

@@ -50,6 +50,8 @@ class OutputRequest(Request):
     """folder for the results"""
     overwrite: bool = named(False, stored=False)
     """replace results that the folder already holds"""
+    resume: Path | None = named(None, stored=False)
+    """go on with the survey that was cut off in this folder, as it was asked for"""
     record_every: int = 5
     """keep the map for the report every this many steps"""
 
@@ -70,6 +72,7 @@ class SurveyRequest(
         skygain survey --city buildings.geojson --uavs 5 --noise-db 2 --stop-std 6
         skygain survey --replay campaign.csv --where device=Samsung --predictor kriging-blind
         skygain survey --config surveys/latest/results.json --seed 1 --out surveys/again
+        skygain survey --resume surveys/latest
     """
 
     runs: ClassVar[str] = "skygain.app.fly:run_survey"

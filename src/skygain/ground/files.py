@@ -7,9 +7,10 @@ never leaves half a file under the name a reader looks for.
 
 from __future__ import annotations
 
-__all__ = ["atomic_write", "full_disk", "unwritable", "writable_folder"]
+__all__ = ["atomic_write", "file_digest", "full_disk", "unwritable", "writable_folder"]
 
 import errno
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,6 +82,12 @@ def unwritable(path: Path, error: OSError) -> InputError:
         f"cannot write {path}: {error.strerror or error}; choose a folder that can be written to "
         "and has room"
     )
+
+
+def file_digest(path: str | os.PathLike[str]) -> str:
+    """The first 16 digits of the SHA-256 of a file's content."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:

@@ -77,7 +77,7 @@ class Journal:
         self._exit = contextlib.ExitStack()
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("a+b")
+            self._file = self.path.open("a+b", buffering=0)
         except OSError as error:
             raise unwritable(self.path, error) from error
         self._exit.callback(self._file.close)
@@ -132,8 +132,9 @@ class Journal:
         line = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
         before = self._file.seek(0, os.SEEK_END)
         try:
-            self._file.write(line)
-            self._file.flush()
+            rest = memoryview(line)
+            while rest:
+                rest = rest[self._file.write(rest) :]
             os.fsync(self._file.fileno())
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -145,7 +146,7 @@ class Journal:
     def _read(self) -> tuple[list[dict[str, Any]], int]:
         """Every whole line, and where the last of them ends; a kill may have cut the next one."""
         self._file.seek(0)
-        text = self._file.read()
+        text = self._file.readall()
         whole = text.rfind(b"\n") + 1
         lines = []
         for number, line in enumerate(text[:whole].split(b"\n")[:-1], start=1):

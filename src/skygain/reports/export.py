@@ -138,8 +138,10 @@ def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:
         for name in dataset.data_vars
         if dataset[name].ndim == 2
     }
+    # HDF5 ends the process when the disk fills while it writes, so it writes to memory.
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=numbers)
     with atomic_write(path) as tmp:
-        dataset.to_netcdf(tmp, engine="h5netcdf", encoding=numbers)
+        tmp.write_bytes(content)
     return note
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["write_folder"]
+__all__ = ["FILES", "write_folder"]
 
 import os
 import shutil
@@ -19,15 +19,33 @@ from skygain.reports.html import write_report
 from skygain.reports.outcome import Outcome
 from skygain.reports.pictures import paths_picture, rmse_picture, survey_maps
 
+FILES = (
+    "measurements.csv",
+    "radio_map.tif",
+    "radio_map.nc",
+    "survey_maps.png",
+    "paths.png",
+    "rmse_vs_steps.png",
+    "report.html",
+    "results.json",
+)
+"""what is written; the last one is there only when all the others are of the same survey"""
+DRAFT = ".draft-"
+
 
 def write_folder(outcome: Outcome, out: Path) -> list[str]:
     """Write every file to the folder ``out``: first side by side in a hidden folder, then moved
-    into place one by one, ``results.json`` last.
+    into place one by one.
+
+    ``results.json`` goes first and comes last, so that a folder which has it is whole. What a
+    killed run left of its drafts is cleared away.
 
     Returns:
         What could not be written in full, and why.
     """
-    draft = Path(tempfile.mkdtemp(prefix=".draft-", dir=out))
+    for old in out.glob(f"{DRAFT}*"):
+        shutil.rmtree(old, ignore_errors=True)
+    draft = Path(tempfile.mkdtemp(prefix=DRAFT, dir=out))
     try:
         notes = [
             write_measurements_csv(outcome, draft / "measurements.csv"),
@@ -39,8 +57,12 @@ def write_folder(outcome: Outcome, out: Path) -> list[str]:
         rmse_picture(outcome, draft / "rmse_vs_steps.png")
         write_report(outcome, draft / "report.html")
         write_results_json(outcome, draft / "results.json")
-        for path in sorted(draft.iterdir(), key=lambda p: p.name == "results.json"):
-            os.replace(path, out / path.name)
+        (out / "results.json").unlink(missing_ok=True)
+        for name in FILES:
+            if (draft / name).exists():
+                os.replace(draft / name, out / name)
+            else:
+                (out / name).unlink(missing_ok=True)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return [note for note in notes if note]

@@ -1,0 +1,68 @@
+"""What a stop from outside does, told within a second even while compiled code runs."""
+
+from __future__ import annotations
+
+__all__ = ["Terminated", "told_of_signals"]
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+
+ENDING = ("SIGTERM", "SIGHUP")
+
+
+class Terminated(BaseException):
+    """The process was told to end; unlike an interrupt, nothing more is computed."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+@contextlib.contextmanager
+def told_of_signals(first: str, kept: str) -> Iterator[None]:
+    """Within the block Ctrl-C prints ``first`` at once and raises `KeyboardInterrupt` as usual; a
+    second one prints ``kept``; SIGTERM and SIGHUP print ``kept`` and raise `Terminated`.
+
+    Python runs signal handlers between two of its own steps only, and compiled code can take
+    seconds. So the text is printed by a thread that the system's own handler wakes. Outside the
+    main thread nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread() or sys.platform == "win32":
+        yield
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    seen: list[int] = []
+
+    def tell() -> None:
+        while data := os.read(reader, 1):
+            number = data[0]
+            if number == 0:
+                return
+            again = signal.SIGINT in seen
+            seen.append(number)
+            text = first if number == signal.SIGINT and not again else kept
+            print(f"\n{text}", file=sys.stderr, flush=True)
+
+    def end(number: int, _: object) -> None:
+        raise Terminated(number)
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    numbers = [getattr(signal, name) for name in ENDING]
+    before = {number: signal.signal(number, end) for number in numbers}
+    woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(woken)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.write(writer, b"\0")
+        thread.join(timeout=1.0)
+        os.close(writer)
+        os.close(reader)

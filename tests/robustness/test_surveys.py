@@ -1,0 +1,157 @@
+"""Kills, signals, full disks and strangers' files: nothing measured is lost.
+
+``SKYGAIN_TRIALS`` is the number of random kills; ``make robustness`` sets it high.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+TRIALS = int(os.environ.get("SKYGAIN_TRIALS", "2"))
+ASKED = (
+    "survey", "--city", "sample:9", "--predictor", "kriging-blind", "--planner",
+    "random-waypoint", "--steps", "60", "--noise-db", "2",
+)  # fmt: skip
+SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP]
+
+
+def skygain(*words: str | Path, **options: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "skygain", *map(str, words)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, **(pipes | options))  # type: ignore[call-overload]
+
+
+def ended(child: subprocess.Popen[str]) -> tuple[int, str, str]:
+    out, err = child.communicate(timeout=240)
+    return child.returncode, out, err
+
+
+def result(folder: Path) -> tuple[bytes, object]:
+    """What has to be the same after any death: the readings, and the scores."""
+    found = json.loads((folder / "results.json").read_text())
+    return (folder / "measurements.csv").read_bytes(), found["scores"]
+
+
+def wait_for_lines(path: Path, lines: int, child: subprocess.Popen[str]) -> None:
+    """Until the flight's journal has so many records, or the flight is over."""
+    while child.poll() is None:
+        with contextlib.suppress(OSError):
+            if path.read_bytes().count(b"\n") >= lines:
+                return
+        time.sleep(0.002)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, object]:
+    folder = tmp_path_factory.mktemp("whole") / "survey"
+    code, _, err = ended(skygain(*ASKED, "--out", folder))
+    assert code == 0, err
+    assert not (folder / "flight.jsonl").exists()
+    return result(folder)
+
+
+@pytest.mark.parametrize("trial", range(TRIALS))
+def test_killed_anywhere_it_goes_on_to_the_same_end(
+    tmp_path: Path, whole: tuple[bytes, object], trial: int
+) -> None:
+    rng = random.Random(trial)
+    folder = tmp_path / "survey"
+    number = SIGNALS[trial % len(SIGNALS)]
+    child = skygain(*ASKED, "--out", folder)
+    wait_for_lines(folder / "flight.jsonl", rng.randint(1, 62), child)
+    child.send_signal(number)
+    code, _, err = ended(child)
+    assert code in (0, -number, 128 + number)
+    if code == 128 + number:
+        assert f"skygain survey --resume {folder}" in err
+        assert "Traceback" not in err
+    if code:
+        code, _, err = ended(skygain("survey", "--resume", folder))
+        assert code == 0, err
+    assert result(folder) == whole
+    assert not [p for p in folder.iterdir() if p.name.startswith((".", "flight"))]
+
+
+def test_an_interrupt_is_answered_writes_what_was_learnt_and_can_go_on(
+    tmp_path: Path, whole: tuple[bytes, object]
+) -> None:
+    folder = tmp_path / "survey"
+    child = skygain(*ASKED, "--out", folder)
+    wait_for_lines(folder / "flight.jsonl", 10, child)
+    child.send_signal(signal.SIGINT)
+    code, _, err = ended(child)
+    assert code == 0, err
+    assert "stopping: the step under way is finished" in err
+    assert "interrupted" in (folder / "results.json").read_text()
+    assert ended(skygain("survey", "--resume", folder))[0] == 0
+    assert result(folder) == whole
+
+
+def test_a_folder_has_one_survey_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / "survey"
+    first = skygain(*ASKED, "--out", folder)
+    wait_for_lines(folder / "flight.jsonl", 2, first)
+    code, _, err = ended(skygain(*ASKED, "--out", folder, "--overwrite"))
+    assert (code, "in use by another run" in err) == (2, True), err
+    assert ended(first)[0] == 0
+
+
+@pytest.mark.parametrize("name", ["measurements.csv", "report.html"])
+def test_a_strangers_file_stays(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    code, _, err = ended(skygain(*ASKED, "--out", tmp_path))
+    assert code == 2
+    assert "--overwrite" in err
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_a_survey_cut_off_is_not_begun_anew_unasked(tmp_path: Path) -> None:
+    folder = tmp_path / "survey"
+    child = skygain(*ASKED, "--out", folder)
+    wait_for_lines(folder / "flight.jsonl", 5, child)
+    child.kill()
+    ended(child)
+    code, _, err = ended(skygain(*ASKED, "--out", folder))
+    assert code == 2
+    assert f"--resume {folder}" in err
+
+
+def test_nothing_to_resume_is_told(tmp_path: Path) -> None:
+    code, _, err = ended(skygain("survey", "--resume", tmp_path))
+    assert code == 2
+    assert "no journal" in err
+
+
+@pytest.mark.skipif(
+    sys.platform != "linux" or os.geteuid() != 0, reason="a small tmpfs needs root on Linux"
+)
+@pytest.mark.parametrize("blocks", [24, 300])
+def test_a_full_disk_keeps_the_flight(
+    tmp_path: Path, whole: tuple[bytes, object], blocks: int
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={blocks}k", "none", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("this machine does not let a small tmpfs be mounted")
+    try:
+        code, _, err = ended(skygain(*ASKED, "--out", disk / "survey"))
+        assert code == 2, err
+        assert "No space left" in err
+        assert "Traceback" not in err
+        subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
+        code, _, err = ended(skygain("survey", "--resume", disk / "survey"))
+        assert code == 0, err
+        assert result(disk / "survey") == whole
+    finally:
+        subprocess.run(["umount", str(disk)], check=False)
