@@ -10,7 +10,7 @@ import pytest
 
 from skygain.ground.errors import InputError
 from skygain.networks.graphs import export_onnx, graph_of, write_graph
-from skygain.networks.operator.evidence import CHANNELS as EVIDENCE
+from skygain.networks.operator.evidence import EVIDENCE_CHANNELS
 from skygain.networks.operator.features import CHANNELS
 from skygain.networks.policies.inputs import FAR, FAR_CHANNELS, NEAR, NEAR_CHANNELS, NUMBERS
 from skygain.networks.policies.planes import PLANES
@@ -34,7 +34,7 @@ SHIPPED = {
 def channels(definition, blind=False):
     return {
         "operator": len(CHANNELS),
-        "locator": len(EVIDENCE),
+        "locator": len(EVIDENCE_CHANNELS),
         "unet": DIRECT_CHANNELS,
         "paper-unet": 1 if blind else 2,
         "policy-paper": len(PLANES),

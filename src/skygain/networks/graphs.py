@@ -20,8 +20,7 @@ from onnx import ModelProto, TensorProto, helper, numpy_helper
 
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
-from skygain.networks.operator.evidence import CHANNELS as EVIDENCE
-from skygain.networks.operator.evidence import TEMPERED
+from skygain.networks.operator.evidence import EVIDENCE_CHANNELS, TEMPERED
 from skygain.networks.operator.features import CHANNELS as PATH_CHANNELS
 from skygain.networks.policies.inputs import FAR, FAR_CHANNELS, NEAR, NEAR_CHANNELS, NUMBERS
 from skygain.networks.policies.planes import PLANES
@@ -186,7 +185,9 @@ def _direct(g: _Graph) -> tuple[str, ...]:
 def _locator(g: _Graph) -> tuple[str, ...]:
     logits, _ = _body(g)
     tempered = g.node("Mul", g.channel("inputs", TEMPERED), g.weight("power"))
-    closed = g.node("LessOrEqual", g.channel("inputs", EVIDENCE.index("open")), g.constant(0.0))
+    closed = g.node(
+        "LessOrEqual", g.channel("inputs", EVIDENCE_CHANNELS.index("open")), g.constant(0.0)
+    )
     return (
         g.node("Where", closed, g.constant(-math.inf), g.affine(logits, OPEN_LOGITS, tempered)),
     )
@@ -291,7 +292,7 @@ class _Input(NamedTuple):
 SQUARE = (PAPER_SIDE, PAPER_SIDE)
 INPUTS = {
     ("operator", "inputs"): _Input("stem.weight", (len(PATH_CHANNELS),)),
-    ("locator", "inputs"): _Input("stem.weight", (len(EVIDENCE),)),
+    ("locator", "inputs"): _Input("stem.weight", (len(EVIDENCE_CHANNELS),)),
     ("unet", "inputs"): _Input("stem.weight", (DIRECT_CHANNELS,)),
     ("paper-unet", "inputs"): _Input("mean.encoder.0.weight", (1, 2), SQUARE),
     ("policy-centred", "near"): _Input("near.0.weight", (len(NEAR_CHANNELS),), (NEAR, NEAR)),

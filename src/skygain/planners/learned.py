@@ -22,8 +22,8 @@ from scipy.special import log_softmax, softmax
 
 from skygain.flight.airspace import Airspace, blocked_home, home_margins, resolve_step
 from skygain.flight.swarm import Swarm
+from skygain.grid import SYMMETRIES
 from skygain.networks.policies.inputs import (
-    SYMMETRIES,
     Seen,
     last_moves,
     policy_views,

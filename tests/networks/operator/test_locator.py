@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skygain.networks.operator.evidence import (
-    CHANNELS,
+    EVIDENCE_CHANNELS,
     EvidenceSums,
     PositionGrid,
     evidence_channels,
@@ -78,7 +78,7 @@ def test_evidence_does_not_depend_on_how_the_readings_came(model, heights, rng):
 
     assert np.allclose(after(12).sums, after(1, 4, 7).sums, rtol=1e-4, atol=1e-3)
     maps = evidence_channels(after(12), heights, 4.0, 10.0)
-    assert maps.shape == (len(CHANNELS), *grid.shape)
+    assert maps.shape == (len(EVIDENCE_CHANNELS), *grid.shape)
     assert np.isfinite(maps).all()
     assert np.isfinite(evidence_channels(EvidenceSums.none(grid), heights, 4.0, 10.0)).all()
 
@@ -102,7 +102,9 @@ def test_an_untrained_network_gives_the_tempered_likelihood(model, heights, rng)
             LocatorNet().eval()(torch.from_numpy(maps[None]))[0].numpy().reshape(grid.shape)
         )
     assert np.isclose(np.exp(log_probability).sum(), 1, atol=1e-4)
-    assert np.isneginf(log_probability[maps[CHANNELS.index("open")] == 0]).all()
-    open_ = maps[CHANNELS.index("open")] > 0
-    difference = log_probability[open_] - 5.0 * maps[CHANNELS.index("tempered/thinned")][open_]
+    assert np.isneginf(log_probability[maps[EVIDENCE_CHANNELS.index("open")] == 0]).all()
+    open_ = maps[EVIDENCE_CHANNELS.index("open")] > 0
+    difference = (
+        log_probability[open_] - 5.0 * maps[EVIDENCE_CHANNELS.index("tempered/thinned")][open_]
+    )
     assert np.ptp(difference) < 1e-3

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from skygain.flight.moves import MOVES
+from skygain.grid import SYMMETRIES
 from skygain.networks.policies.inputs import (
-    SYMMETRIES,
     Seen,
     centred_view,
     turned_moves,

@@ -11,7 +11,7 @@ from skygain.datasets.layout import CityRecord
 from skygain.datasets.writer import write_dataset
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
-from skygain.networks.operator.evidence import CHANNELS
+from skygain.networks.operator.evidence import EVIDENCE_CHANNELS
 from skygain.networks.operator.path_model import USED
 from skygain.training.checkpoints import save_checkpoint
 from skygain.training.pools import flown_cities
@@ -79,7 +79,7 @@ def test_a_pool_is_flown_once_and_its_samples_turn_with_their_targets(tmp_path, 
     for symmetry in range(8):
         maps, target = pool.sample(5, symmetry)
         assert np.isclose(target.sum(), 1, atol=1e-5)
-        assert (target[maps[CHANNELS.index("open")] == 0] == 0).all()
+        assert (target[maps[EVIDENCE_CHANNELS.index("open")] == 0] == 0).all()
         back = target.T if symmetry & 4 else target
         back = back[:, ::-1] if symmetry & 2 else back
         back = back[::-1] if symmetry & 1 else back

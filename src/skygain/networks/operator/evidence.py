@@ -10,15 +10,20 @@ learned how far such sums can be trusted.
 
 from __future__ import annotations
 
-__all__ = ["CHANNELS", "EvidenceSums", "PathPredictions", "PositionGrid", "evidence_channels"]
+__all__ = [
+    "EVIDENCE_CHANNELS",
+    "EvidenceSums",
+    "PathPredictions",
+    "PositionGrid",
+    "evidence_channels",
+]
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.networks.operator.features import CHANNELS as PATH_CHANNELS
-from skygain.networks.operator.features import fill_cells
+from skygain.networks.operator.features import CHANNELS, fill_cells
 from skygain.networks.operator.path_model import PathModel
 
 Array = NDArray[np.float32]
@@ -27,7 +32,7 @@ SOFTEN = 3.0
 """standardised errors beyond this count with their logarithm only"""
 CROWD_M = 12.0
 """earlier readings within this distance make a reading count less"""
-LINE_OF_SIGHT = PATH_CHANNELS.index("line_of_sight")
+LINE_OF_SIGHT = CHANNELS.index("line_of_sight")
 SUMS = ("weight", "z", "soft", "log_std", "error", "square", "los_weight", "los_z", "los_soft")
 PER_SET = (
     "z",
@@ -40,7 +45,7 @@ PER_SET = (
     "log_likelihood",
     "tempered",
 )
-CHANNELS = (
+EVIDENCE_CHANNELS = (
     *(f"{name}/{kind}" for kind in ("all", "thinned") for name in PER_SET),
     "open",
     "on_map",
@@ -53,7 +58,7 @@ CHANNELS = (
     "distance",
 )
 """names of the channels, in order"""
-TEMPERED = CHANNELS.index("tempered/thinned")
+TEMPERED = EVIDENCE_CHANNELS.index("tempered/thinned")
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +237,7 @@ def path_features(
     altitude_m: float,
 ) -> Array:
     """``[cell, position, channel]`` of `path_features.fill_cells`."""
-    out = np.empty((len(cells), len(position), len(PATH_CHANNELS)), dtype=np.float32)
+    out = np.empty((len(cells), len(position), len(CHANNELS)), dtype=np.float32)
     height = np.ascontiguousarray(height_m, dtype=np.float32)
     fill_cells(
         height,
@@ -248,7 +253,8 @@ def path_features(
 def evidence_channels(
     sums: EvidenceSums, height_m: Array, spacing_m: float, altitude_m: float
 ) -> Array:
-    """``[channel, row, col]`` maps over the grid's squares, all of order one; see `CHANNELS`."""
+    """``[channel, row, col]`` maps over the grid's squares, all of order one; see
+    `EVIDENCE_CHANNELS`."""
     grid, n = sums.grid, len(sums.cells)
     out = []
     for part in sums.sums:

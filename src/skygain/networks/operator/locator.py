@@ -8,11 +8,11 @@ __all__ = ["LocatorNet"]
 import torch
 from torch import Tensor, nn
 
-from skygain.networks.operator.evidence import CHANNELS, TEMPERED
+from skygain.networks.operator.evidence import EVIDENCE_CHANNELS, TEMPERED
 from skygain.networks.operator.network import OperatorConfig, ResidualUNet
 from skygain.networks.scales import OPEN_LOGITS
 
-OPEN = CHANNELS.index("open")
+OPEN = EVIDENCE_CHANNELS.index("open")
 SIZES = OperatorConfig(stem=24, widths=(40, 64, 96), blocks=(1, 1, 2))
 
 
@@ -24,7 +24,7 @@ class LocatorNet(ResidualUNet):
     """
 
     def __init__(self, config: OperatorConfig = SIZES) -> None:
-        super().__init__(len(CHANNELS), config)
+        super().__init__(len(EVIDENCE_CHANNELS), config)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
         self.power = nn.Parameter(torch.tensor(5.0))

@@ -15,7 +15,6 @@ __all__ = [
     "NEAR",
     "NEAR_CHANNELS",
     "NUMBERS",
-    "SYMMETRIES",
     "Seen",
     "centred_view",
     "last_moves",
@@ -35,6 +34,7 @@ from numpy.typing import NDArray
 
 from skygain.flight.moves import MOVES
 from skygain.flight.swarm import Swarm
+from skygain.grid import turned, turned_cells
 from skygain.ground.errors import InputError
 from skygain.networks.policies.planes import planes
 
@@ -44,8 +44,7 @@ FAR_CHANNELS = ("std", "mean", "flyable", "others")
 NUMBERS = 6
 """last move (4, one of them 1), steps left / 200, UAVs / 6"""
 STEPS_SCALE, SWARM_SCALE = 200.0, 6.0
-SYMMETRIES = 8
-"""bits: 1 mirrors the rows, 2 mirrors the columns, 4 swaps rows and columns afterwards"""
+
 
 View = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
@@ -158,24 +157,17 @@ def centred_view(seen: Seen) -> View:
 
 def turned_moves(symmetry: int) -> NDArray[np.int64]:
     """``[move]`` what each move becomes under ``symmetry``."""
-    moves = np.arange(4)
-    if symmetry & 1:
-        moves = np.array([2, 1, 0, 3])[moves]
-    if symmetry & 2:
-        moves = np.array([0, 3, 2, 1])[moves]
-    return np.array([1, 0, 3, 2])[moves] if symmetry & 4 else moves
+    return moves_of(turned_cells(MOVES, (0, 0), symmetry))
 
 
 def turned_view(view: View, symmetry: int) -> View:
     """The view of the same survey under ``symmetry``: what was move m there is move
     ``turned_moves(symmetry)[m]`` here."""
     near, far, numbers = view
-    axes = (0, 1, 3, 2) if symmetry & 4 else (0, 1, 2, 3)
-    rows, cols = (slice(None, None, -1 if symmetry & bit else 1) for bit in (1, 2))
-    turned = numbers.copy()
-    turned[:, turned_moves(symmetry)] = numbers[:, :4]
-    near, far = (np.ascontiguousarray(m[:, :, rows, cols].transpose(axes)) for m in (near, far))
-    return near, far, turned
+    turned_numbers = numbers.copy()
+    turned_numbers[:, turned_moves(symmetry)] = numbers[:, :4]
+    near, far = (np.ascontiguousarray(turned(maps, symmetry)) for maps in (near, far))
+    return near, far, turned_numbers
 
 
 def paper_view(seen: Seen, side: int, symmetry: int = 0) -> NDArray[np.float32]:
@@ -195,8 +187,7 @@ def paper_view(seen: Seen, side: int, symmetry: int = 0) -> NDArray[np.float32]:
         np.pad(m, ((0, 0), (0, room[0]), (0, room[1]))) for m in (seen.mean, seen.std, seen.height)
     )
     x = planes(mean, std, height, seen.cells, seen.uav)
-    x = x[:, :, :: -1 if symmetry & 1 else 1, :: -1 if symmetry & 2 else 1]
-    return np.ascontiguousarray(x.transpose(0, 1, 3, 2) if symmetry & 4 else x)
+    return np.ascontiguousarray(turned(x, symmetry))
 
 
 def policy_views(

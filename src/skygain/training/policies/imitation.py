@@ -24,8 +24,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from skygain.environments.worlds import LinkWorlds
+from skygain.grid import SYMMETRIES
 from skygain.ground.executor import process_pool
-from skygain.networks.policies.inputs import SYMMETRIES, turned_moves
+from skygain.networks.policies.inputs import turned_moves
 from skygain.networks.policies.network import policy_network
 from skygain.networks.policies.planes import action_masks
 from skygain.networks.policies.weights import export_policy

@@ -18,8 +18,9 @@ from torch import Tensor, nn
 
 from skygain.environments.rewards import RewardConfig
 from skygain.environments.surveys import EnvironmentConfig, SurveyBatch
+from skygain.grid import SYMMETRIES
 from skygain.ground.errors import InputError
-from skygain.networks.policies.inputs import SYMMETRIES, Seen, turned_moves
+from skygain.networks.policies.inputs import Seen, turned_moves
 from skygain.networks.policies.network import POLICY_NETWORKS, policy_network
 from skygain.networks.policies.weights import policy_file
 from skygain.networks.weights import read_weights

@@ -25,7 +25,7 @@ from skygain.grid import SYMMETRIES, turned, turned_cells
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.networks.operator.evidence import (
-    CHANNELS,
+    EVIDENCE_CHANNELS,
     EvidenceSums,
     PathPredictions,
     PositionGrid,
@@ -80,7 +80,7 @@ class LocatorPool:
         maps = turned(maps, symmetry)
         row, col = turned_cells(place, (self.side - 1, self.side - 1), symmetry)
         maps = maps.astype(np.float32)
-        return maps, _target(maps[CHANNELS.index("open")] > 0, float(row), float(col))
+        return maps, _target(maps[EVIDENCE_CHANNELS.index("open")] > 0, float(row), float(col))
 
 
 def _target(open_: NDArray[np.bool_], row: float, col: float) -> NDArray[np.float32]:
@@ -109,7 +109,14 @@ class LocatorTask:
 
     def load(self, data: Paths, split: str, report: Report) -> LocatorPool:
         """The pools of ``split`` of every data set, flown as far as that has not been done yet."""
-        told = (self.side, self.flights, self.altitude_odds, MARGIN_CELLS, SIDE_CELLS, CHANNELS)
+        told = (
+            self.side,
+            self.flights,
+            self.altitude_odds,
+            MARGIN_CELLS,
+            SIDE_CELLS,
+            EVIDENCE_CHANNELS,
+        )
         files = flown_cities(
             "locator-pool",
             data,
