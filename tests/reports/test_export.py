@@ -88,6 +88,24 @@ def test_a_survey_can_be_replayed_from_its_own_csv(make_outcome: Make, tmp_path:
     } == pytest.approx(truth)
 
 
+def test_power_stays_power(make_outcome: Make, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    import xarray as xr
+
+    from skygain.instruments import read_recording
+
+    outcome = replace(make_outcome(crs=None), level_label="received power in dBm")
+    write_measurements_csv(outcome, tmp_path / "m.csv")
+    again = read_recording(tmp_path / "m.csv")
+    assert (again.quantity, again.columns["level"]) == ("power", "power_dbm")
+    write_radio_map_nc(outcome, tmp_path / "m.nc")
+    with xr.open_dataset(tmp_path / "m.nc", engine="h5netcdf") as dataset:
+        assert dataset.mean_dbm.attrs == {"units": "dBm", "long_name": "estimated received power"}
+        assert dataset.std_db.attrs["units"] == "dB"
+        assert "mean_db" not in dataset
+
+
 @pytest.mark.parametrize("crs", [None, UTM])
 def test_the_geotiff_answers_at_the_metres_of_a_cell(
     make_outcome: Make, tmp_path: Path, crs: str | None

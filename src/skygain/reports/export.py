@@ -35,8 +35,8 @@ def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
     """Every reading as a line, in the order taken.
 
     Columns: ``x_m, y_m`` (cell centre), ``lat, lon`` (degrees WGS 84, only on a georeferenced map),
-    ``row, col``, ``gain_db``, ``noise_std_db``, ``time_s``, ``uav`` (from 0), ``censored`` (1 where
-    the receiver was at its floor, else 0).
+    ``row, col``, ``gain_db`` (or ``power_dbm``, as the map), ``noise_std_db``, ``time_s``, ``uav``
+    (from 0), ``censored`` (1 where the receiver was at its floor, else 0).
 
     Returns:
         A note when latitudes had to be left out because the geo extra is missing, else ``None``.
@@ -57,7 +57,7 @@ def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
         "row": readings.cell[:, 0].tolist(),
         "col": readings.cell[:, 1].tolist(),
         # written in full, so that a replay reads the same bits
-        "gain_db": readings.gain_db.tolist(),
+        "gain_db" if outcome.unit == "dB" else "power_dbm": readings.gain_db.tolist(),
         "noise_std_db": readings.noise_std_db.tolist(),
         "time_s": readings.time_s.tolist(),
         "uav": readings.uav.tolist(),
@@ -87,7 +87,13 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
         return f"{path.name} skipped: install skygain[geo]"
     from rasterio.io import MemoryFile
 
-    bands = {"mean_db": outcome.mean_db, "std_db": outcome.std_db, "measured": outcome.measured_db}
+    level = outcome.unit.lower()
+    bands = {
+        f"mean_{level}": outcome.mean_db,
+        "std_db": outcome.std_db,
+        "measured": outcome.measured_db,
+    }
+    units = {"ground_m": "m", "std_db": "dB"}
     if outcome.scenario.city.ground_m.any():
         bands["ground_m"] = np.asarray(outcome.scenario.city.ground_m)
     west, _, _, north = outcome.grid.bounds_m
@@ -112,7 +118,7 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
                     np.flipud(values).astype(np.float32), number
                 )  # row 0 is the south, a GeoTIFF begins in the north
                 raster.set_band_description(number, name)
-                raster.set_band_unit(number, "m" if name == "ground_m" else "dB")
+                raster.set_band_unit(number, units.get(name, outcome.unit))
             raster.update_tags(**{key: str(value) for key, value in _facts(outcome).items()})
         with atomic_write(path) as tmp:
             tmp.write_bytes(memory.read())
@@ -150,17 +156,18 @@ def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
     import xarray as xr
 
     grid, dims = outcome.grid, ("y", "x")
+    what, unit, level = outcome.quantity, outcome.unit, outcome.unit.lower()
     layers: dict[str, tuple[np.ndarray, str, str]] = {
-        "mean_db": (outcome.mean_db.astype(np.float32), "dB", "estimated channel gain"),
+        f"mean_{level}": (outcome.mean_db.astype(np.float32), unit, f"estimated {what}"),
         "std_db": (
             outcome.std_db.astype(np.float32),
             "dB",
-            "predicted standard deviation of the channel gain",
+            f"predicted standard deviation of the {what}",
         ),
-        "measured_db": (
+        f"measured_{level}": (
             outcome.measured_db.astype(np.float32),
-            "dB",
-            "mean of the channel gains measured in the cell",
+            unit,
+            f"mean of the {what} measured in the cell",
         ),
         "height_m": (outcome.scenario.city.height_m, "m", "building height above the ground"),
         "outdoor": (
@@ -174,10 +181,10 @@ def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
         ground = np.ascontiguousarray(outcome.scenario.city.ground_m)
         layers["ground_m"] = (ground, "m", f"height of the ground above {above}")
     if outcome.outdoor_truth_db is not None:
-        layers["truth_db"] = (
+        layers[f"truth_{level}"] = (
             outcome.outdoor_truth_db.astype(np.float32),
-            "dB",
-            "true channel gain",
+            unit,
+            f"true {what}",
         )
     dataset = xr.Dataset(
         {

@@ -78,6 +78,16 @@ class Outcome:
         return f"{self.title}\n{self.summary}"
 
     @property
+    def quantity(self) -> str:
+        """What is mapped: "channel gain" or "received power"."""
+        return self.level_label.rpartition(" in ")[0]
+
+    @property
+    def unit(self) -> str:
+        """Of what is mapped: "dB" or "dBm"."""
+        return self.level_label.rpartition(" in ")[2]
+
+    @property
     def summary(self) -> str:
         """How it ended, how good the map is and how long deciding took, in three lines."""
         ended, *took = repr(self.result).splitlines()
