@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from skygain.city import City
 from skygain.flight.swarm import Swarm
@@ -50,6 +51,26 @@ def test_same_seed_same_survey(flight: tuple) -> None:
     )
     assert (first == second).all()
     assert not (first == other).all()
+
+
+def test_the_map_does_not_depend_on_the_number_of_threads(rng: np.random.Generator) -> None:
+    height = np.zeros((40, 40))
+    height[10:20, 10:20] = 25.0
+    scenario = Scenario(City(Grid((40, 40), 4.0), height))
+    truth = -90 + np.cumsum(rng.normal(size=(40, 40)), axis=1)
+    maps = []
+    for threads in (1, 2):
+        survey = Survey(
+            scenario,
+            create_predictor("kriging-blind"),
+            create_planner("sequential-greedy", horizon=20, width=30),
+            PerfectInstrument(truth),
+        )
+        swarm = Swarm.deployed(scenario, [(0, 0), (39, 39), (0, 39)], 60)
+        with threadpool_limits(limits=threads, user_api="blas"):
+            posterior = survey.fly(swarm, np.random.default_rng(1)).posterior
+        maps.append((posterior.mean_db.tobytes(), posterior.variance_db2.tobytes()))
+    assert maps[0] == maps[1]
 
 
 def test_the_observer_sees_every_step(flight: tuple) -> None:

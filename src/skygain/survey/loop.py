@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from skygain.flight.swarm import Swarm
 from skygain.ground.compiling import Stopwatch
@@ -165,6 +166,7 @@ class Survey:
     config: SurveyConfig = SurveyConfig()
     """when to stop"""
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")
     def fly(
         self,
         swarm: Swarm,
@@ -174,6 +176,7 @@ class Survey:
     ) -> SurveyResult:
         """Fly until no UAV has steps left.
 
+        Linear algebra runs on one thread, so that the same seeds give the same map on any machine.
         The starting cells are measured first. An interrupt from the keyboard ends the survey after
         the step under way and returns what has been learnt.
 
@@ -220,6 +223,7 @@ class Survey:
                         break
         except KeyboardInterrupt:
             stopped = "interrupted"
+        belief.posterior()  # on the same one thread
         return SurveyResult(self.scenario, swarm, readings, belief, stopped, tuple(journal))
 
     def _measured(

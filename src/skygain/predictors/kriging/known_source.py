@@ -48,6 +48,9 @@ from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
+LEVELS = ("any", "gain")
+"""what may be said of the readings' level"""
+
 
 @dataclass(frozen=True)
 class KrigingPredictor(Predictor):
@@ -66,6 +69,9 @@ class KrigingPredictor(Predictor):
     refit: bool = True
     """fit the covariance to the survey's own data on the schedule; ``False`` keeps the parameters
     as they are"""
+    level: str = "any"
+    """without a known transmitter, ``"any"``: readings of any level, in dBm too, are taken alike;
+    ``"gain"``: they are channel gains in dB at the level of the training cities"""
     transmitter: Literal["required", "optional", "unused"] = field(
         init=False, repr=False, default="unused"
     )
@@ -74,6 +80,8 @@ class KrigingPredictor(Predictor):
     def __post_init__(self) -> None:
         if self.trend not in (*TRENDS, "inferred"):
             raise InputError(f"unknown trend {self.trend!r}; known: {', '.join(TRENDS)}, inferred")
+        if self.level not in LEVELS:
+            raise InputError(f"unknown level {self.level!r}; expected one of {', '.join(LEVELS)}")
         expected = {"constant": 1, "quadratic": 6}.get(self.trend, 2)
         if self.parameters is not None and len(self.parameters.trend) != expected:
             raise InputError(
@@ -112,8 +120,16 @@ class KrigingPredictor(Predictor):
         if (
             self.trend == "inferred"
         ):  # without a path-loss line there would be no transmitter to find
-            return [(trained_parameters("log-distance", scenario.prediction_altitude_m), 0.0)]
-        return survey_priors(self.trend, scenario)
+            trained = trained_parameters("log-distance", scenario.prediction_altitude_m)
+            return [(trained if self.level == "gain" else trained.with_flat_level, 0.0)]
+        return survey_priors(self.trend, scenario, self.level)
+
+    def expected(self, scenario: Scenario) -> KrigingParameters:
+        """What is expected before the first reading, when only the training speaks."""
+        if self.parameters is not None:
+            return self.parameters
+        trend = "log-distance" if self.trend == "inferred" else self.trend
+        return trained_parameters(trend, scenario.prediction_altitude_m)
 
 
 def blind_kriging(**options: Any) -> KrigingPredictor:
@@ -207,15 +223,18 @@ class KrigingBelief(Belief):
 
     def posterior(self) -> GaussianProcessPosterior:
         if self._posterior is None:
-            shape = self.scenario.grid.shape
-            mean, variance = self.state.moments()
+            grid, state = self.scenario.grid, self.state
+            if len(self.measurements) == 0:
+                parameters = self.predictor.expected(self.scenario)
+                trend = state.trend.restarted(parameters)
+                state = KrigingState.unobserved(self.scenario, parameters, trend)
+
+            def covariance(cells: NDArray[np.int64], others: NDArray[np.int64]) -> Array:
+                first = grid.flat(cells)
+                return state.covariance(first, first if cells is others else grid.flat(others))
+
+            mean, variance = state.moments()
             self._posterior = GaussianProcessPosterior(
-                mean.reshape(shape), variance.reshape(shape), self._covariance
+                mean.reshape(grid.shape), variance.reshape(grid.shape), covariance
             )
         return self._posterior
-
-    def _covariance(self, cells: NDArray[np.int64], others: NDArray[np.int64]) -> Array:
-        """``[n, m]`` posterior covariance in dB² of the gain at ``cells[n]`` and ``others[m]``."""
-        grid = self.scenario.grid
-        first = grid.flat(cells)
-        return self.state.covariance(first, first if cells is others else grid.flat(others))

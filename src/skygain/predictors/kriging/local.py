@@ -36,7 +36,12 @@ from skygain.measurements import Measurements
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.interpolators.readings import Readings, checked_flat, combined
-from skygain.predictors.kriging.parameters import KrigingParameters, trend_columns
+from skygain.predictors.kriging.parameters import (
+    FLAT_DB2,
+    KrigingParameters,
+    trained_parameters,
+    trend_columns,
+)
 from skygain.predictors.kriging.state import floor_reading
 from skygain.predictors.kriging.survey_fit import fit_is_due, fit_to_survey, survey_priors
 from skygain.scenario import Scenario
@@ -117,6 +122,14 @@ class _Setting:
     priors: tuple[tuple[KrigingParameters, float], ...]
     flown_columns: Array  # [P, q]
     columns: Array  # [P, q]
+
+    @property
+    def expected(self) -> KrigingParameters:
+        """What is expected before the first reading, when only the training speaks."""
+        if self.predictor.parameters is not None:
+            return self.predictor.parameters
+        trend = "constant" if self.scenario.transmitter_m is None else "log-distance"
+        return trained_parameters(trend, self.scenario.prediction_altitude_m)
 
     @property
     def one_plane(self) -> bool:
@@ -314,7 +327,10 @@ class LocalKrigingBelief(Belief):
         if measurements.censored.any():
             mean, variance = self._predicted().moments(self._setting)
             for i in np.flatnonzero(measurements.censored):
-                pseudo = floor_reading(mean[flat[i]], variance[flat[i]], gain[i], noise[i])
+                here, spread = mean[flat[i]], variance[flat[i]]
+                if spread > FLAT_DB2 / 2:  # as in Kriging, the level is taken to be the floor's
+                    here, spread = gain[i], self.parameters.kernel.variance_db2
+                pseudo = floor_reading(here, spread, gain[i], noise[i])
                 keep[i] = pseudo is not None
                 if pseudo is not None:
                     gain[i], noise[i] = pseudo
@@ -375,6 +391,9 @@ class LocalKrigingBelief(Belief):
     def posterior(self) -> Posterior:
         if self._posterior is None:
             shape = self.scenario.grid.shape
-            mean, variance = self._predicted().moments(self._setting)
+            state = self._predicted()
+            if len(self.measurements) == 0:
+                state = _unobserved(self._setting, self._setting.expected)
+            mean, variance = state.moments(self._setting)
             self._posterior = Posterior(mean.reshape(shape), variance.reshape(shape))
         return self._posterior

@@ -16,6 +16,7 @@ prior with which each survey estimates its own θ.
 from __future__ import annotations
 
 __all__ = [
+    "FLAT_DB2",
     "TRENDS",
     "KrigingParameters",
     "generic_parameters",
@@ -24,7 +25,7 @@ __all__ = [
 ]
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -40,6 +41,8 @@ Array = NDArray[np.float64]
 
 TRENDS = ("log-distance", "constant", "quadratic")
 """names of the trends"""
+FLAT_DB2 = 1e8
+"""prior variance of a level that may be anything"""
 CLOSEST_M = 1.0
 """distance to the transmitter below which the path loss no longer falls"""
 
@@ -76,6 +79,14 @@ class KrigingParameters:
                 f"a covariance needs sill_db2 > 0, range_m > 0 and nugget_db2 >= 0, "
                 f"got {self.sill_db2:g}, {self.range_m:g}, {self.nugget_db2:g}"
             )
+
+    @property
+    def with_flat_level(self) -> KrigingParameters:
+        """The same with a level that may be anything: a constant added to every reading is then
+        added to the map and changes nothing else."""
+        covariance = np.array(self.trend_covariance)
+        covariance[0, 0] += FLAT_DB2
+        return replace(self, trend_covariance=tuple(map(tuple, covariance.tolist())))
 
     @property
     def kernel(self) -> ExponentialKernel:

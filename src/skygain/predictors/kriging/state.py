@@ -19,7 +19,7 @@ from scipy.special import log_ndtr, ndtr
 
 from skygain.fields.gaussian_process import KNOWN, CellKernel, Flat, GaussianProcess
 from skygain.predictors.interpolators.readings import Readings
-from skygain.predictors.kriging.parameters import KrigingParameters
+from skygain.predictors.kriging.parameters import FLAT_DB2, KrigingParameters
 from skygain.predictors.kriging.trend import Trend
 from skygain.scenario import Scenario
 
@@ -136,6 +136,8 @@ class KrigingState:
         variance = process.kernel.variance_db2 - white @ white + added
         if variance <= KNOWN * process.kernel.variance_db2:
             return self
+        if added > FLAT_DB2 / 2:  # no reading has told the level yet: it is taken to be the floor's
+            mean, variance = floor_db, process.kernel.variance_db2
         pseudo = floor_reading(mean, float(variance), floor_db, noise_db2)
         if pseudo is None:
             return self

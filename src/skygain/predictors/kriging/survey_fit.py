@@ -45,6 +45,8 @@ SEPARATION_M = 40.0
 """distance between the observations that choose between priors"""
 GENERIC_LOG_ODDS = -2.0
 """log odds, before any data, that a place is nothing like the cities of the training"""
+GENERIC_FLAT_LOG_ODDS = -3.75
+"""the same where both levels are flat, so that a generic level costs nothing by itself"""
 FLAT_LOG_ODDS = -3.0
 """log odds, before any data, that the gain does not follow the trained path-loss line at all; the
 other way round where the transmitter is no street-level one or the receivers do not fly, since
@@ -96,18 +98,26 @@ def likelihood_loss(
     )
 
 
-def survey_priors(trend: str, scenario: Scenario) -> list[tuple[KrigingParameters, float]]:
+def survey_priors(
+    trend: str, scenario: Scenario, level: str = "any"
+) -> list[tuple[KrigingParameters, float]]:
     """What a survey may start from, the likeliest first, with the logarithm of the odds.
 
     The trained parameters; for the log-distance trend also ones without a path-loss line; and
-    generic ones.
+    generic ones. Without a transmitter the level is flat, since readings may be in dBm, or of any
+    transmitter; ``level="gain"`` says that they are gains like the trained ones.
     """
     trained, generic = (
         trained_parameters(trend, scenario.prediction_altitude_m),
         generic_parameters(trend),
     )
     if trend != "log-distance":
-        return [(trained, 0.0), (generic, GENERIC_LOG_ODDS)]
+        if level == "gain":
+            return [(trained, 0.0), (generic, GENERIC_LOG_ODDS)]
+        return [
+            (trained.with_flat_level, 0.0),
+            (generic.with_flat_level, GENERIC_FLAT_LOG_ODDS),
+        ]
     flat = trained_parameters("constant", scenario.prediction_altitude_m)
     flat = replace(
         flat,
