@@ -12,18 +12,25 @@ from skygain.predictors.interpolators.idw import IdwPredictor
 from skygain.predictors.kriging.residual import ResidualKrigingPredictor
 from skygain.testing.predictors import example_scenario
 
-GAIN_IN_DB = "trained on channel gain in dB, so the level of a reading tells it something"
-NEEDS_GAIN = dict.fromkeys(["operator", "unet", "paper-unet", "paper-unet-mapblind"], GAIN_IN_DB)
-NEEDS_GAIN |= {"residual-kriging": "its mean is a network's unless told another: " + GAIN_IN_DB}
-NEEDS_GAIN |= {"kriging": "told the transmitter, it knows the gain in dB along the path-loss line"}
-TOLERANCE_DB = {"gstools": 1e-2}
-"""its least squares stop early"""
-
 
 class Smooth(IdwPredictor):
     """A mean that residual Kriging may correct."""
 
     interpolates = False
+
+
+GAIN_IN_DB = "trained on channel gain in dB, so the level of a reading tells it something"
+NEEDS_GAIN = dict.fromkeys(["operator", "unet", "paper-unet", "paper-unet-mapblind"], GAIN_IN_DB)
+NEEDS_GAIN |= {"residual-kriging": "its mean is a network's unless told another: " + GAIN_IN_DB}
+NEEDS_GAIN |= {"kriging": "told the transmitter, it knows the gain in dB along the path-loss line"}
+NEEDS_GAIN |= {"kriging-inferred": "finds the transmitter by the trained gain; see level='any'"}
+OURS = {
+    "residual": lambda: ResidualKrigingPredictor(Smooth()),
+    "inferred at any level": lambda: create_predictor("kriging-inferred", level="any"),
+}
+"""predictors that no single name builds"""
+TOLERANCE_DB = {"gstools": 1e-2}
+"""its least squares stop early"""
 
 
 def _maps(predictor, shift_db, n, noise_std_db, floor):
@@ -47,11 +54,11 @@ def _maps(predictor, shift_db, n, noise_std_db, floor):
     return posterior.mean_db - shift_db, posterior.std_db
 
 
-@pytest.mark.parametrize("name", [*PREDICTORS, "residual"])
+@pytest.mark.parametrize("name", [*PREDICTORS, *OURS])
 def test_a_constant_added_to_the_readings_is_added_to_the_map(name):
     if name in NEEDS_GAIN:
         pytest.skip(NEEDS_GAIN[name])
-    predictor = ResidualKrigingPredictor(Smooth()) if name == "residual" else create_predictor(name)
+    predictor = OURS[name]() if name in OURS else create_predictor(name)
     tolerance = TOLERANCE_DB.get(name, 1e-3)
     for n in (1, 5, 60):
         for noise_std_db, floor in ((0.0, False), (1.0, False), (1.0, True)):
@@ -83,11 +90,12 @@ def test_before_any_reading_the_training_speaks(name):
     assert -160 < posterior.mean_db.mean() < -80
 
 
-@pytest.mark.parametrize("name", ["kriging-blind", "kriging-inferred", "local-kriging"])
+@pytest.mark.parametrize("name", ["kriging-blind", "local-kriging", "inferred at any level"])
 def test_readings_at_the_floor_alone_give_a_sober_map(name):
     scenario = example_scenario(transmitter=False)
     cells = scenario.grid.cells[::37]
     floor = Measurements.at(cells, np.full(len(cells), -120.0), noise_std_db=1.0, censored=True)
-    posterior = create_predictor(name).begin(scenario).updated(floor).posterior()
+    predictor = OURS[name]() if name in OURS else create_predictor(name)
+    posterior = predictor.begin(scenario).updated(floor).posterior()
     assert posterior.mean_db.min() > -200
     assert posterior.mean_db.max() < -115

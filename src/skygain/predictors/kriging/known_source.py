@@ -143,8 +143,12 @@ def quadratic_kriging(**options: Any) -> KrigingPredictor:
 
 
 def inferred_kriging(**options: Any) -> KrigingPredictor:
-    """Kriging that does not know the transmitter and finds it on the way."""
-    return KrigingPredictor(trend="inferred", **options)
+    """Kriging that does not know the transmitter and finds it on the way.
+
+    It looks for it by the trained gain along the path-loss line, so readings are taken for gains in
+    dB unless ``level="any"`` says otherwise.
+    """
+    return KrigingPredictor(trend="inferred", **({"level": "gain"} | options))
 
 
 class KrigingBelief(Belief):
