@@ -246,7 +246,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
         progress.phase("reading the city")
     reading = None if request.city is None else asked_city(request)
     city = reading.city if reading else None
-    grid = city.grid if city else grid_for(recording, request.spacing_m or 4.0, request.box)
+    grid = city.grid if city else grid_for(recording, request.spacing_m, request.box)
     gridded = on_grid(recording, grid)
     transmitter = None
     if request.transmitter != "random":

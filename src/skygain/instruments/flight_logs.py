@@ -12,7 +12,7 @@ import contextlib
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -186,10 +186,17 @@ def _in_degrees(values: NDArray) -> NDArray[np.float64]:
     )
 
 
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The libraries print what they stumble over; a log that cannot be read is told in one line."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        yield
+
+
 def _ulg(path: Path) -> dict[str, Message]:
     pyulog = require("pyulog", "logs")
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with _quiet():
             log = pyulog.ULog(str(path))
     except Exception as error:
         raise _unreadable(path, "PX4 log", error) from error
@@ -211,7 +218,7 @@ def _mavlink(path: Path) -> dict[str, Message]:
     mavutil = require("pymavlink.mavutil", "logs")
     rows: dict[str, list[tuple[float, dict[str, Any]]]] = {}
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with _quiet():
             log = mavutil.mavlink_connection(str(path), robust_parsing=True, dialect="all")
             while (message := log.recv_match()) is not None:
                 kind = message.get_type()

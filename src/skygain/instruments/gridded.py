@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.frames import (
+    MAX_CELLS,
     Bounds,
     box_in_metres,
     grid_over,
@@ -35,6 +36,7 @@ readings of its own"""
 _FAR = 10.0
 """a reading more than so many times the map's size away belongs to another place"""
 
+_FEWEST_RASTER = 9
 _FEW = 50
 """strays are told from so many readings on"""
 
@@ -165,19 +167,26 @@ def on_grid(
     )
 
 
-def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = None) -> Grid:
+def grid_for(
+    recording: Recording, spacing_m: float | None = 4.0, box: Bounds | None = None
+) -> Grid:
     """A grid that holds the recording: in the UTM zone of its centre if the recording is
     georeferenced, else in its own frame.
 
     Args:
         recording: what is to be mapped.
-        spacing_m: side of a cell.
+        spacing_m: side of a cell; ``None`` takes that of the readings' own raster, if their x and y
+            stand on one, and 4 m otherwise.
         box: (west, south, east, north) of the map, in degrees or in the metres of the grid; all
             readings and a cell around them when left out.
 
     Raises:
         InputError: the box or the spacing makes no sense, or the map would be too large.
     """
+    raster = _raster(recording) if spacing_m is None else None
+    if raster is not None and box is None:
+        return raster
+    spacing_m = 4.0 if spacing_m is None else spacing_m
     if not 0 < spacing_m < np.inf:
         raise InputError(
             f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
@@ -206,6 +215,25 @@ def grid_for(recording: Recording, spacing_m: float = 4.0, box: Bounds | None = 
         spacing_m,
         target,
     )
+
+
+def _raster(recording: Recording) -> Grid | None:
+    """The grid whose cell centres are the readings' places, when they are those of a simulator's
+    receiver grid: each cell at most once, most of the cells."""
+    if recording.xy_m is None or len(recording) < _FEWEST_RASTER:
+        return None
+    xs, ys = (np.unique(np.round(axis, 3)) for axis in recording.xy_m.T)
+    steps = np.concatenate([np.diff(xs), np.diff(ys)])
+    if not len(steps) or min(len(xs), len(ys)) < 2 or len(xs) * len(ys) > MAX_CELLS:
+        return None
+    spacing = float(steps.min())
+    even = np.abs(steps / spacing - np.rint(steps / spacing)).max() < 0.01
+    if spacing <= 0 or not even or len(recording) < 0.3 * len(xs) * len(ys):
+        return None
+    shape = tuple(round(float(v[-1] - v[0]) / spacing) + 1 for v in (ys, xs))
+    if shape[0] * shape[1] > MAX_CELLS:
+        return None
+    return Grid((shape[0], shape[1]), spacing, (float(xs[0]), float(ys[0])), recording.crs)
 
 
 def _near_others(points: NDArray[np.float64]) -> NDArray[np.float64]:
