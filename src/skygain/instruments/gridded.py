@@ -36,6 +36,7 @@ readings of its own"""
 _FAR = 10.0
 """a reading more than so many times the map's size away belongs to another place"""
 
+_SAMPLED = 20_000
 _FEWEST_RASTER = 9
 _FEW = 50
 """strays are told from so many readings on"""
@@ -131,13 +132,16 @@ def on_grid(
         raise InputError(_all_outside(recording, grid))
     noise = np.zeros(len(recording)) if recording.noise_std_db is None else recording.noise_std_db
     floored = np.zeros(len(recording)) if recording.censored is None else recording.censored
-    keys = (grid.flat(cells), *xy_m.T, recording.level_db, noise, floored)
-    flat, x, y, level, noise, floored = (key[on_map] for key in keys)
-    everyone, count = np.unique(flat, return_counts=True)
-    order = np.lexsort((floored, noise, level, y, x, flat))
-    rows = [key[order] for key in (flat, x, y, level, noise, floored)]
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = np.any([key[1:] != key[:-1] for key in rows], axis=0)
+    keys = [grid.flat(cells), *xy_m.T, recording.level_db, noise, floored]
+    if not on_map.all():
+        keys = [key[on_map] for key in keys]
+    order = _sorted(keys)
+    rows = [key[order] for key in keys]
+    first = np.r_[True, rows[0][1:] != rows[0][:-1]]
+    everyone, count = rows[0][first], np.diff(np.flatnonzero(np.r_[first, True]))
+    new = first.copy()
+    for key in rows[1:]:
+        new[1:] |= key[1:] != key[:-1]
     flat, _, _, level, noise, floored = (key[new] for key in rows)
     group = np.cumsum(np.r_[False, flat[1:] != flat[:-1]])
     distinct = np.bincount(group)
@@ -240,7 +244,7 @@ def _near_others(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points less a few strays: a receiver that loses its fix may report another country."""
     if len(points) < _FEW:
         return points
-    low, high = np.percentile(points, (2, 98), axis=0)
+    low, high = np.percentile(points[:: max(1, len(points) // _SAMPLED)], (2, 98), axis=0)
     size = (high - low).max()
     near = ((points >= low - _FAR * size) & (points <= high + _FAR * size)).all(axis=1)
     return points[near] if size > 0 else points
@@ -295,6 +299,17 @@ def _cells_of(xy_m: NDArray[np.float64], grid: Grid) -> tuple[NDArray[np.int64],
     cells = grid.cells_at(np.where(near[:, None], xy_m, np.asarray(grid.origin_m)))
     on_map = near & grid.contains(cells)
     return np.where(on_map[:, None], cells, 0), on_map
+
+
+def _sorted(keys: list[NDArray]) -> NDArray[np.int64]:
+    """Order by the first key, then the second, and so on; most rows differ in the first two."""
+    order = np.lexsort((keys[1], keys[0]))
+    same = (keys[0][order][1:] == keys[0][order][:-1]) & (keys[1][order][1:] == keys[1][order][:-1])
+    tied = np.r_[False, same] | np.r_[same, False]
+    if tied.any():
+        rows = order[tied]
+        order[tied] = rows[np.lexsort([key[rows] for key in reversed(keys)])]
+    return order
 
 
 def _off_map(

@@ -114,13 +114,10 @@ def refuse_series(
     """
     told = []
     settled = {condition.column for condition in chosen}
-    group = _places(place_m)
     for i, column in columns.items():
         if i in settled:
             continue
-        values, code, count = np.unique(
-            texts(column).astype(str), return_inverse=True, return_counts=True
-        )
+        values, code, count = _values(column)
         named = np.array([v.casefold() not in _UNNAMED for v in values.tolist()])
         if named.sum() < 2:
             continue
@@ -133,6 +130,7 @@ def refuse_series(
             f"choose one with `where={key}={_quoted(values[order[0]])}`, or make a map of each "
             f"with skygain map --by {key}"
         )
+        group = _places(place_m)
         pairs = np.unique(np.column_stack([group, code.ravel()])[named[code.ravel()]], axis=0)
         several = np.bincount(pairs[:, 0], minlength=group.max() + 1) > 1
         if several[group].mean() > _MOST_MIXED:
@@ -142,6 +140,20 @@ def refuse_series(
             )
         told.append(f"{held}, mostly at different places, read as one map; {help_}")
     return told
+
+
+def _values(column: NDArray) -> tuple[NDArray, NDArray[np.int64], NDArray[np.int64]]:
+    """The different values of a column as text, ``[n]`` which of them each line has, and how often
+    each occurs."""
+    if column.dtype != object and len(column) and (column == column[0]).all():
+        return (
+            column[:1].astype(str),
+            np.zeros(len(column), dtype=np.int64),
+            np.array([len(column)]),
+        )
+    plain = texts(column).astype(str) if column.dtype == object else column
+    values, code, count = np.unique(plain, return_inverse=True, return_counts=True)
+    return values.astype(str), code.ravel(), count
 
 
 def _places(place_m: NDArray[np.float64]) -> NDArray[np.int64]:
