@@ -12,7 +12,7 @@ from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
 from skygain.predictors import create_predictor
 from skygain.scenario import Scenario
-from skygain.testing import check_predictor
+from skygain.testing.predictors import check_predictor, example_scenario
 
 
 def scenario(shape=(21, 17), **options) -> Scenario:
@@ -113,3 +113,29 @@ def test_planners_get_its_covariance(rng):
     variance = belief.posterior().variance_db2
     assert (planned <= variance + 1e-2).all()  # the planner takes the trend for known
     assert np.corrcoef(planned.ravel(), variance.ravel())[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("slope_db", [-45.0, 0.0, 45.0])
+def test_far_from_the_transmitter_the_slope_may_change(slope_db, rng):
+    """Readings near the transmitter say nothing of the slope beyond the trained reach, and the
+    interval has to tell."""
+    grid = Grid((6, 700), 4.0)
+    scenario = Scenario(City(grid, np.zeros(grid.shape)), transmitter_m=(2.0, 10.0, 1.5))
+    distance = np.linalg.norm(grid.xy_m(grid.cells) - [2.0, 10.0], axis=1)
+    beyond = np.log10(np.maximum(distance / 620.0, 1.0))
+    truth = 35.8 - 75.7 * np.log10(np.maximum(distance, 8.5)) + slope_db * beyond
+    truth += 4 * rng.standard_normal(grid.size)
+    near = np.flatnonzero(distance < 250)
+    some = rng.permutation(near)[:80]
+    belief = create_predictor("local-kriging").begin(scenario)
+    posterior = belief.updated(Measurements.at(grid.cells[some], truth[some])).posterior()
+    low, high = posterior.interval(0.9)
+    inside = (truth >= low.ravel()) & (truth <= high.ravel())
+    assert inside[distance > 620].mean() > 0.85
+    assert inside[distance < 620].mean() > 0.85
+    assert posterior.std_db.ravel()[near].max() < 20
+
+
+def test_within_the_trained_reach_nothing_changes():
+    scenario = example_scenario()
+    assert len(create_predictor("local-kriging").begin(scenario).parameters.trend) == 2

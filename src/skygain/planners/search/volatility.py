@@ -2,11 +2,12 @@
 
 A stationary kernel gives every unvisited cell the same doubt. Real gain does not: near line of
 sight and far out in deep shadow it is smooth, and in between, where streets light up and go dark,
-it jumps. The mean squared error of Kriging over its variance, by the gain it predicts, rises from
-below 0.2 in deep shadow to 1.9 at the edge of the lit area (measured on the training cities, see
-docs/planners.md). `volatility` is that ratio; used as a weight per cell it turns the
-sum of variances into the expected squared error. Beliefs whose variances differ from place to place
-by themselves need no such weight.
+it jumps. `volatility` is the squared error of Kriging over its variance by the gain it predicts;
+as a weight per cell it turns the sum of variances into the expected squared error. Beliefs whose
+variances differ from place to place by themselves need no such weight.
+
+The weights were measured on the training cities with an earlier fit of Kriging, and the planner's
+tables were made with them. The fit of today gives a flatter curve: see docs/planners.md.
 """
 
 from __future__ import annotations

@@ -39,6 +39,7 @@ from skygain.predictors.interpolators.readings import Readings, checked_flat, co
 from skygain.predictors.kriging.parameters import (
     FLAT_DB2,
     KrigingParameters,
+    far_columns,
     trained_parameters,
     trend_columns,
 )
@@ -101,6 +102,11 @@ class LocalKrigingPredictor(Predictor):
         priors = (
             survey_priors(trend, scenario) if self.parameters is None else [(self.parameters, 0.0)]
         )
+        if self.parameters is None and trend == "log-distance":
+            far = far_columns(predicted)
+            if far[:, 2].any():  # the trained line ends on this map
+                flown, predicted = far_columns(flown), far
+                priors = [(prior.with_far_slope, odds) for prior, odds in priors]
         parameters = priors[0][0]
         if len(parameters.trend) != flown.shape[1]:
             raise InputError(
@@ -129,7 +135,8 @@ class _Setting:
         if self.predictor.parameters is not None:
             return self.predictor.parameters
         trend = "constant" if self.scenario.transmitter_m is None else "log-distance"
-        return trained_parameters(trend, self.scenario.prediction_altitude_m)
+        trained = trained_parameters(trend, self.scenario.prediction_altitude_m)
+        return trained.with_far_slope if self.columns.shape[1] == 3 else trained
 
     @property
     def one_plane(self) -> bool:

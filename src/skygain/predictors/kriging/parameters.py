@@ -18,6 +18,7 @@ from __future__ import annotations
 __all__ = [
     "FLAT_DB2",
     "TRENDS",
+    "far_columns",
     "KrigingParameters",
     "generic_parameters",
     "trained_parameters",
@@ -43,6 +44,10 @@ TRENDS = ("log-distance", "constant", "quadratic")
 """names of the trends"""
 FLAT_DB2 = 1e8
 """prior variance of a level that may be anything"""
+TRAINED_REACH_M = 620.0
+"""distance from the transmitter up to which path-loss lines were trained"""
+FAR_SLOPE_DB = 60.0
+"""standard deviation of what the slope changes by beyond it, in dB per decade"""
 CLOSEST_M = 1.0
 """distance to the transmitter below which the path loss no longer falls"""
 
@@ -87,6 +92,19 @@ class KrigingParameters:
         covariance = np.array(self.trend_covariance)
         covariance[0, 0] += FLAT_DB2
         return replace(self, trend_covariance=tuple(map(tuple, covariance.tolist())))
+
+    @property
+    def with_far_slope(self) -> KrigingParameters:
+        """The same with a slope of unknown change beyond the trained reach, for `far_columns`."""
+        k = len(self.trend)
+        covariance = np.zeros((k + 1, k + 1))
+        covariance[:k, :k] = self.trend_covariance
+        covariance[k, k] = FAR_SLOPE_DB**2
+        return replace(
+            self,
+            trend=(*self.trend, 0.0),
+            trend_covariance=tuple(map(tuple, covariance.tolist())),
+        )
 
     @property
     def kernel(self) -> ExponentialKernel:
@@ -220,3 +238,9 @@ def trend_columns(
         x, y = (2 * (xy - middle) / (max(grid.shape) * grid.spacing_m)).T
         return np.column_stack([np.ones(grid.size), x, y, x * x, x * y, y * y])
     raise InputError(f"unknown trend {trend!r}; known: {', '.join(TRENDS)}")
+
+
+def far_columns(columns: Array) -> Array:
+    """``[cell, 3]`` log-distance ``columns[cell, 2]`` and a third one for what the slope changes by
+    beyond the trained reach; 0 within it."""
+    return np.column_stack([columns, np.minimum(columns[:, 1] + np.log10(TRAINED_REACH_M), 0.0)])
