@@ -33,11 +33,12 @@ CORE = (
     "click",
     "rich",
     "safetensors",
-    "torch",
+    "onnxruntime",
 )
 """packages without which Skygain does not work"""
 
 EXTRAS = {
+    "train": ("torch", "onnx"),
     "raytrace": ("sionna-rt", "shapely"),
     "geo": ("rasterio", "pyproj", "shapely", "pyogrio"),
     "rl": ("pettingzoo", "gymnasium"),
@@ -156,19 +157,14 @@ def _version(package: str) -> str | None:
 
 
 def _compute() -> Check:
-    """Where neural networks would run. PyTorch takes seconds to load, so its own answers are given
-    only if it is loaded already."""
-    torch = sys.modules.get("torch")
-    if torch is None:
-        return Check(
-            "networks",
-            "ok",
-            f"PyTorch {_version('torch') or 'absent'}, not loaded; processor {_processor()}",
-        )
-    if torch.cuda.is_available():
-        return Check("networks", "ok", f"CUDA on {torch.cuda.get_device_name(0)}")
+    """Where neural networks would run; PyTorch only trains them."""
+    from skygain.networks.runtime import n_threads
+
     return Check(
-        "networks", "ok", f"processor {_processor()}, {torch.get_num_threads()} threads, no CUDA"
+        "networks",
+        "ok",
+        f"ONNX Runtime {_version('onnxruntime') or 'absent'}, {n_threads()} threads, PyTorch "
+        f"{_version('torch') or 'absent'}; processor {_processor()}",
     )
 
 
@@ -181,6 +177,8 @@ def _processor() -> str:
     names = [
         line.split(":", 1)[1].strip() for line in text.splitlines() if line.startswith("model name")
     ]
+    from skygain.networks.processor import bf16_instructions
+
     flags = next(
         (
             set(line.split(":", 1)[1].split())
@@ -193,7 +191,7 @@ def _processor() -> str:
         (label for flag, label in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags),
         "no AVX2",
     )
-    bf16 = "bfloat16 in hardware" if flags & {"amx_bf16", "avx512_bf16"} else "bfloat16 emulated"
+    bf16 = "bfloat16 in hardware" if bf16_instructions() else "no bfloat16"
     return f"{names[0] if names else platform.machine()} ({vector}, {bf16})"
 
 
