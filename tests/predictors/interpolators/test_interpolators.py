@@ -141,8 +141,8 @@ def test_thin_plate_equals_scipy(rng):
     centred = here - here.mean(axis=0)
     extent = np.linalg.svd(centred, compute_uv=False)[0] / np.sqrt(40)
     unit = centred / extent
-    roughness, _ = thin_plate._roughness_and_scale(
-        thin_plate._kernel(unit, unit), thin_plate._plane(unit), data.gain_db - data.gain_db.mean()
+    roughness, _ = thin_plate.roughness_and_scale(
+        thin_plate.kernel(unit, unit), thin_plate.plane(unit), data.gain_db - data.gain_db.mean()
     )
     peer = RBFInterpolator(
         unit, data.gain_db, kernel="thin_plate_spline", degree=1, smoothing=roughness

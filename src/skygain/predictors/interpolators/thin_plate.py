@@ -41,17 +41,17 @@ ON_A_LINE = 1e-3
 """width over length below which readings count as lying on a line"""
 
 
-def _kernel(first: Array, second: Array) -> Array:
+def kernel(first: Array, second: Array) -> Array:
     """d² log d, 0 at d = 0."""
     square = ((first[:, None] - second[None]) ** 2).sum(axis=-1)
     return 0.5 * square * np.log(np.where(square > 0, square, 1.0))
 
 
-def _plane(xy: Array) -> Array:
+def plane(xy: Array) -> Array:
     return np.column_stack([np.ones(len(xy)), xy])
 
 
-def _roughness_and_scale(K: Array, P: Array, y: Array) -> tuple[float, float]:
+def roughness_and_scale(K: Array, P: Array, y: Array) -> tuple[float, float]:
     """λ and s² of largest restricted likelihood: that of the contrasts Zᵀy ~ N(0, s²(ZᵀKZ + λI)),
     which no plane changes."""
     Z = null_space(P.T)
@@ -91,8 +91,8 @@ class ThinPlatePredictor(ReadingsPredictor):
             readings.gain_db.mean(),
         )
         xy, everywhere = (xy - middle) / extent, (everywhere - middle) / extent
-        y, K, P = readings.gain_db - level, _kernel(xy, xy), _plane(xy)
-        roughness, scale = _roughness_and_scale(K, P, y)
+        y, K, P = readings.gain_db - level, kernel(xy, xy), plane(xy)
+        roughness, scale = roughness_and_scale(K, P, y)
         scale = max(scale, 1e-12)
 
         v = len(xy)
@@ -104,7 +104,7 @@ class ThinPlatePredictor(ReadingsPredictor):
         mean, variance = np.empty(grid.size), np.empty(grid.size)
         for first in range(0, grid.size, CHUNK):
             part = slice(first, first + CHUNK)
-            right = np.concatenate([_kernel(xy, everywhere[part]), _plane(everywhere[part]).T])
+            right = np.concatenate([kernel(xy, everywhere[part]), plane(everywhere[part]).T])
             mean[part] = weights @ right
             variance[part] = roughness - np.einsum(
                 "vp,vp->p", right, lu_solve(factor, right, check_finite=False)

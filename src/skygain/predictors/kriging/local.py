@@ -232,13 +232,15 @@ def _untied(positions: NDArray[np.int64], cells: Flat) -> Array:
 
 def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
     """``state`` with ``cells`` predicted from its readings."""
-    from skygain.predictors.kriging.local_kernels import (
-        neighbour_weights,  # Numba loads when it is needed
-    )
+    from skygain.predictors.kriging.local_kernels import Field, Observations, neighbour_weights
 
     predictor, grid, data = setting.predictor, setting.scenario.grid, state.readings
     kernel, cross = state.kernels
-    columns = setting.flown_columns[data.cells]
+    observations = Observations(
+        data.cells, data.noise_db2, data.gain_db, setting.flown_columns[data.cells]
+    )
+    prior_db2 = float(kernel.variance_db2)
+    field = Field(kernel.table, cross.table, prior_db2, KNOWN * prior_db2)
     tree = cKDTree(_untied(grid.cells[data.cells], data.cells))
     k = predictor.neighbours
     weighted, leftover = state.weighted.copy(), state.leftover.copy()
@@ -247,19 +249,7 @@ def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
     def handle(first: int) -> int:
         some = cells[first : first + CHUNK]
         distance, nearest = tree.query(grid.cells[some], k=np.arange(1, k + 1))
-        y, h, var = neighbour_weights(
-            some,
-            nearest,
-            data.cells,
-            data.noise_db2,
-            data.gain_db,
-            columns,
-            kernel.table,
-            cross.table,
-            kernel.variance_db2,
-            grid.shape[1],
-            KNOWN * kernel.variance_db2,
-        )
+        y, h, var = neighbour_weights(some, nearest, observations, field)
         weighted[some], leftover[some], variance[some] = y, setting.columns[some] - h, var
         reach[some] = distance[:, -1]
         return len(some)

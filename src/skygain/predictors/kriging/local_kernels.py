@@ -2,46 +2,59 @@
 
 from __future__ import annotations
 
-__all__ = ["neighbour_weights"]
+__all__ = ["Field", "Observations", "neighbour_weights"]
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+
+class Observations(NamedTuple):
+    """Values at some cells."""
+
+    cells: NDArray[np.int64]
+    """``[v]`` raveled cells"""
+    noise_db2: NDArray[np.float64]
+    """``[v]`` noise variances"""
+    gain_db: NDArray[np.float64]
+    """``[v]`` values"""
+    columns: NDArray[np.float64]
+    """``[v, q]`` trend columns"""
+
+
+class Field(NamedTuple):
+    """A stationary field on a grid."""
+
+    table: NDArray[np.float64]
+    """``[|row offset|, |column offset|]`` covariance between observed cells, for the whole grid"""
+    cross: NDArray[np.float64]
+    """the same between an observed and a predicted cell"""
+    prior_db2: float
+    """variance of a predicted cell"""
+    floor_db2: float
+    """smallest conditional variance of an observation"""
 
 
 @numba.njit(nogil=True, cache=True)
-def neighbour_weights(
-    cells,
-    neighbours,
-    observed,
-    noise_db2,
-    gain_db,
-    columns,
-    table,
-    cross,
-    prior_db2,
-    cols,
-    floor_db2,
-):  # type: ignore[no-untyped-def]
+def neighbour_weights(cells, neighbours, data, field):  # type: ignore[no-untyped-def]
     """Simple Kriging of every cell from its own neighbours.
 
     Args:
         cells: ``[n]`` raveled cells to predict.
         neighbours: ``[n, k]`` indices of the observations to use; an index beyond the last one
             marks an empty place.
-        observed: ``[v]`` raveled cells of the observations.
-        noise_db2: ``[v]`` noise variances.
-        gain_db: ``[v]`` values.
-        columns: ``[v, q]`` trend columns of the observations.
-        table: ``[|row offset|, |column offset|]`` covariance between observed cells.
-        cross: the same between an observed and a predicted cell.
-        prior_db2: variance of a predicted cell.
-        cols: columns of the grid.
-        floor_db2: smallest conditional variance of an observation.
+        data: the observations.
+        field: what is observed.
 
     Returns:
         w·y ``[n]``, w·H ``[n, q]`` and the variance ``[n]``, with w the Kriging weights.
     """
+    observed, noise_db2, gain_db, columns = data
+    table, cross, prior_db2, floor_db2 = field
     n, k = neighbours.shape
+    cols = table.shape[1]
     q = columns.shape[1]
     v = len(observed)
     weighted = np.zeros(n)
