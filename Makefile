@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test lint types docs check clean
+.PHONY: demo test robustness lint types docs check clean
 
 demo: .venv/demo.stamp
 	$(BIN)/skygain survey --city sample:9 --predictor kriging --planner sequential-greedy --steps 200 --out surveys/demo --overwrite
@@ -12,6 +12,10 @@ demo: .venv/demo.stamp
 
 test: .venv/test.stamp
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+
+# Many random kills and full disks; prints what each of them ended in.
+robustness: .venv/test.stamp
+	SKYGAIN_TRIALS=100 $(BIN)/python -m pytest -n 2 tests/robustness
 
 lint: .venv/test.stamp
 	$(BIN)/ruff check .
@@ -30,14 +34,16 @@ check: test lint types docs
 	$(PYTHON) -c 'import sys; sys.exit("Skygain needs Python 3.11 or newer, found " + sys.version) if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv .venv || { echo "the venv module is missing: apt-get install python3-venv"; rm -rf .venv; exit 1; }
 
-# Pins hold for these two; pyproject.toml has the ranges that should work.
-.venv/demo.stamp: .venv/bin/python pyproject.toml constraints.txt
-	$(PIP) install --quiet --constraint constraints.txt torch
-	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo]' --editable packages/paper-weights
+# Pins hold for these two; pyproject.toml has the ranges that should work. CONSTRAINTS=constraints-newest.txt
+# takes the newest releases instead, for Python 3.13.
+CONSTRAINTS ?= constraints.txt
+
+.venv/demo.stamp: .venv/bin/python pyproject.toml $(CONSTRAINTS)
+	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[geo]' --editable packages/paper-weights
 	@touch $@
 
 .venv/test.stamp: .venv/demo.stamp
-	$(PIP) install --quiet --constraint constraints.txt --editable '.[geo,raytrace,dev]'
+	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[dev]'
 	@touch $@
 
 clean:
