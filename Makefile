@@ -1,7 +1,10 @@
 # Two targets do everything on a fresh Debian machine with Python 3.11 or newer: `make demo` and `make test`.
 PYTHON ?= python3
+# Pins hold for these two; pyproject.toml has the ranges that should work. CONSTRAINTS=constraints-newest.txt
+# takes the newest releases instead, for Python 3.13.
+CONSTRAINTS ?= constraints.txt
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile --constraint $(CONSTRAINTS)
 
 .PHONY: demo test robustness lint types docs check clean
 
@@ -34,16 +37,12 @@ check: test lint types docs
 	$(PYTHON) -c 'import sys; sys.exit("Skygain needs Python 3.11 or newer, found " + sys.version) if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv .venv || { echo "the venv module is missing: apt-get install python3-venv"; rm -rf .venv; exit 1; }
 
-# Pins hold for these two; pyproject.toml has the ranges that should work. CONSTRAINTS=constraints-newest.txt
-# takes the newest releases instead, for Python 3.13.
-CONSTRAINTS ?= constraints.txt
-
 .venv/demo.stamp: .venv/bin/python pyproject.toml $(CONSTRAINTS)
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[geo]' --editable packages/paper-weights
+	$(PIP) --editable . --editable packages/paper-weights
 	@touch $@
 
 .venv/test.stamp: .venv/demo.stamp
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[dev]'
+	$(PIP) --editable '.[dev]'
 	@touch $@
 
 clean:
