@@ -14,32 +14,12 @@ N = 40
 LAT, LON = 48.2 + np.arange(N) * 1e-5, 16.37 + np.arange(N) * 2e-5
 
 
-def ulog(path, topics):
-    """A minimal ULog: ``{topic: (C format, field types, rows)}``, each row begins with the time in
-    µs."""
-    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
-
-    def message(kind, body):
-        out.append(struct.pack("<HB", len(body), ord(kind)) + body)
-
-    message("B", bytes(40))
-    for name, (_, fields, _) in topics.items():
-        message("F", f"{name}:{fields};".encode())
-    for number, name in enumerate(topics):
-        message("A", struct.pack("<BH", 0, number) + name.encode())
-    for number, (code, _, rows) in enumerate(topics.values()):
-        for row in rows:
-            message("D", struct.pack("<H", number) + struct.pack("<" + code, *row))
-    path.write_bytes(b"".join(out))
-    return path
-
-
 def position():
     rows = [(int(i * 1e6), float(LAT[i]), float(LON[i]), 300.0) for i in range(N)]
     return "Qddf", "uint64_t timestamp;double lat;double lon;float alt", rows
 
 
-def test_px4_cellular_status_is_found_and_its_zeros_are_left_out(tmp_path):
+def test_px4_cellular_status_is_found_and_its_zeros_are_left_out(tmp_path, ulog):
     pytest.importorskip("pyulog")
     level = [0.0 if i % 10 == 0 else -80.0 - i for i in range(N - 1)]
     rows = [(int(i * 1e6 + 5e5), level[i]) for i in range(N - 1)]
@@ -60,7 +40,7 @@ def test_px4_cellular_status_is_found_and_its_zeros_are_left_out(tmp_path):
     np.testing.assert_allclose(recording.time_s[:2], [0.0, 1.0])
 
 
-def test_any_field_can_be_the_level(tmp_path):
+def test_any_field_can_be_the_level(tmp_path, ulog):
     pytest.importorskip("pyulog")
     rows = [(int(i * 1e6), 100 + i, 7) for i in range(N)]
     log = ulog(
@@ -79,7 +59,7 @@ def test_any_field_can_be_the_level(tmp_path):
     assert any("SiK" in note for note in recording.notes)
 
 
-def test_no_position_is_made_up(tmp_path):
+def test_no_position_is_made_up(tmp_path, ulog):
     pytest.importorskip("pyulog")
     code, fields, rows = position()
     gap = [row for row in rows if not 10 <= row[0] / 1e6 < 20]
@@ -118,34 +98,7 @@ def test_mavlink_radio_status(tmp_path):
     np.testing.assert_allclose(recording.level_db, (150 - np.arange(N)) / 1.9 - 127)
 
 
-def dataflash(path, rows):
-    """A minimal ArduPilot log: its own description, GPS and RSSI messages."""
-
-    def fmt(number, length, name, code, labels):
-        return b"\xa3\x95\x80" + struct.pack(
-            "<BB4s16s64s", number, length, name.encode(), code.encode(), labels.encode()
-        )
-
-    out = [
-        fmt(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
-        fmt(
-            130,
-            31,
-            "GPS",
-            "QBIHBLLf",
-            "TimeUS,Status,GMS,GWk,NSats,Lat,Lng,Alt",
-        ),
-        fmt(131, 3 + 8 + 4, "MODM", "Qf", "TimeUS,RSRP"),
-    ]
-    for time_us, lat, lon, level in rows:
-        gps = (time_us, 3, time_us // 1000, 2300, 12, int(lat * 1e7), int(lon * 1e7), 30.0)
-        out.append(b"\xa3\x95\x82" + struct.pack("<QBIHBiif", *gps))
-        out.append(b"\xa3\x95\x83" + struct.pack("<Qf", time_us, level))
-    path.write_bytes(b"".join(out))
-    return path
-
-
-def test_ardupilot_log(tmp_path):
+def test_ardupilot_log(tmp_path, dataflash):
     pytest.importorskip("pymavlink")
     rows = [(i * 1_000_000, LAT[i], LON[i], -70.0 - i) for i in range(N)]
     log = dataflash(tmp_path / "flight.bin", rows)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import os
 import tempfile
+import zipfile
 from pathlib import Path
 
 import numpy as np
-from hypothesis import event, given, settings
+import pytest
+from hypothesis import currently_in_test_context, event, given, settings
 from hypothesis import strategies as st
 
 from skygain.grid import Grid
@@ -80,18 +84,19 @@ OPTIONS = st.fixed_dictionaries(
 )
 
 
-def outcome(content: bytes, options: dict) -> None:
+def outcome(content: bytes, options: dict, suffix: str = ".csv") -> None:
     """Read ``content`` and check that the recording, if there is one, is sound and can be brought
     onto a map or is refused."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "garbage.csv"
+        path = Path(folder) / f"garbage{suffix}"
         path.write_bytes(content)
         recording, message = None, ""
         try:
             recording = read_recording(path, **options)
         except InputError as error:
             message = str(error)
-    event("read" if recording else f"refused: {message.split(';')[0][:30]}")
+    if currently_in_test_context():
+        event("read" if recording else f"refused: {message.split(';')[0][:30]}")
     if recording is None:
         assert message
         assert "\n" not in message
@@ -193,3 +198,111 @@ def test_damaged_campaigns(data, header, skip_bad, sep):
         "\n".join(sep.join(line) for line in lines).encode(errors="surrogatepass"),
         {"skip_bad": skip_bad},
     )
+
+
+def _kml() -> bytes:
+    marks = "".join(
+        f"<Placemark><name>{i}</name><ExtendedData><Data name='RSRP'><value>-7{i} dBm</value>"
+        f"</Data></ExtendedData><Point><coordinates>16.37{i},48.2{i},0</coordinates></Point>"
+        "</Placemark>"
+        for i in range(6)
+    )
+    head = '<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
+    return f"{head}{marks}</Document></kml>".encode()
+
+
+def _gpx() -> bytes:
+    points = "".join(
+        f'<trkpt lat="48.2{i}" lon="16.37{i}"><ele>30</ele><time>2024-05-01T10:00:0{i}Z</time>'
+        f"<extensions><rsrp>-7{i}</rsrp></extensions></trkpt>"
+        for i in range(6)
+    )
+    head = '<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1">'
+    return f"{head}<trk><trkseg>{points}</trkseg></trk></gpx>".encode()
+
+
+def _kmz() -> bytes:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w") as archive:
+        archive.writestr("doc.kml", _kml())
+    return memory.getvalue()
+
+
+def _p2m() -> bytes:
+    rows = "".join(f"{i} {i * 5:.3e} 10 1.5 {i + 3} {90 + i}\n" for i in range(1, 9))
+    return f"# Receiver X Y Z Distance Path Loss (dB)\n{rows}".encode()
+
+
+def _vector(suffix: str) -> bytes:
+    geopandas = pytest.importorskip("geopandas")
+    ways = np.arange(12) * 1e-4
+    frame = geopandas.GeoDataFrame(
+        {"rsrp": -70.0 - np.arange(12), "pci": 101},
+        geometry=geopandas.points_from_xy(16.37 + ways, 48.2 + ways),
+        crs="EPSG:4326",
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"points{suffix}"
+        frame.to_file(path)
+        return path.read_bytes()
+
+
+def _px4(ulog) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        rows = [(i * 1_000_000, -80.0 - i) for i in range(12)]
+        places = [(i * 1_000_000, 48.2 + i * 1e-4, 16.37, 30.0) for i in range(12)]
+        fields = "uint64_t timestamp;double lat;double lon;float alt"
+        topics = {
+            "vehicle_global_position": ("Qddf", fields, places),
+            "cellular_status": ("Qf", "uint64_t timestamp;float rx_level", rows),
+        }
+        return ulog(Path(folder) / "a.ulg", topics).read_bytes()
+
+
+def _ardupilot(dataflash) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        rows = [(i * 1_000_000, 48.2 + i * 1e-4, 16.37, -70.0 - i) for i in range(12)]
+        return dataflash(Path(folder) / "a.bin", rows).read_bytes()
+
+
+SOUND = {
+    ".kml": _kml,
+    ".kmz": _kmz,
+    ".gpx": _gpx,
+    ".p2m": _p2m,
+    ".geojson": lambda: _vector(".geojson"),
+    ".gpkg": lambda: _vector(".gpkg"),
+    ".fgb": lambda: _vector(".fgb"),
+    ".ulg": _px4,
+    ".bin": _ardupilot,
+    ".tlog": lambda: bytes(range(256)),
+}
+"""a small file of each format"""
+LEVEL = {".bin": {"level": "MODM.RSRP"}, ".tlog": {"level": "RADIO_STATUS.rssi"}}
+
+
+@pytest.mark.parametrize("suffix", sorted(SOUND))
+def test_damaged_files_of_every_format(suffix, ulog, dataflash):
+    for extra in ("pyogrio", "pyulog", "pymavlink"):
+        pytest.importorskip(extra)
+    writer = {".ulg": (ulog,), ".bin": (dataflash,)}.get(suffix, ())
+    sound = SOUND[suffix](*writer)
+    rng = np.random.default_rng(sorted(SOUND).index(suffix))
+    options = {"columns": LEVEL[suffix]} if suffix in LEVEL else {}
+    outcome(sound, options, suffix)
+    n = int(os.environ.get("SKYGAIN_MUTATIONS", "40"))
+    for _ in range(n):
+        damaged = bytearray(sound)
+        for _ in range(int(rng.integers(1, 8))):
+            at, how = int(rng.integers(len(damaged))), rng.integers(4)
+            if how == 0:
+                damaged[at] = int(rng.integers(256))
+            elif how == 1:
+                del damaged[at : at + int(rng.integers(1, 30))]
+            elif how == 2:
+                damaged[at:at] = damaged[at : at + int(rng.integers(1, 30))]
+            else:
+                del damaged[max(at, 16) :]
+            if not damaged:
+                damaged = bytearray(b"x")
+        outcome(bytes(damaged), {**options, "skip_bad": bool(rng.integers(2))}, suffix)

@@ -61,13 +61,11 @@ def table_of(
 def _vector_table(path: Path) -> Table:
     pyogrio = require("pyogrio", "geo")
     shapely = require("shapely", "geo")
-    from pyogrio.errors import DataLayerError, DataSourceError
-
     try:
         layer, notes = _point_layer(pyogrio, path)
         meta, _, geometry, data = pyogrio.raw.read(str(path), layer=layer)
         points = shapely.from_wkb(geometry)
-    except (DataSourceError, DataLayerError, shapely.errors.ShapelyError, ValueError) as error:
+    except Exception as error:  # of a damaged file the bindings raise whatever it led them to
         raise InputError(
             f"cannot read {path.name} as points ({str(error)[:120]}); export the readings as "
             "GeoPackage, GeoJSON or CSV"
