@@ -15,6 +15,9 @@ from skygain.city import City
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 
+FREQUENCY_HZ = 5.0e9
+"""carrier frequency where none is given"""
+
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
@@ -39,7 +42,7 @@ class Scenario:
     transmitter_m: tuple[float, float, float] | None = None
     """(x, y, z) of the transmitter in the city's metres, ``None`` when unknown; it may lie outside
     the map"""
-    frequency_hz: float = 5.0e9
+    frequency_hz: float = FREQUENCY_HZ
     """carrier frequency"""
     datum_m: float | None = None
     """where the flight keeps a level above the sea (see `at_level`): the height of both altitudes'

@@ -45,3 +45,13 @@ def test_the_instrument_looks_the_truth_up() -> None:
 def test_positions_that_are_none_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="x,y"):
         parse_position(text)
+
+
+def test_a_stored_truth_keeps_its_carrier() -> None:
+    with pytest.raises(InputError, match="traced at 5 GHz, not at 28 GHz; leave `frequency_hz`"):
+        open_world(PlaceRequest(city="sample:1", frequency_hz=28e9))
+    asked = open_world(PlaceRequest(city="sample:1", frequency_hz=5e9))
+    left_out = open_world("sample:1")
+    assert asked.frequency_hz == left_out.scenario().frequency_hz == 5e9
+    computed = PlaceRequest(city="7", propagation="gudmundson", frequency_hz=28e9, crop=20)
+    assert open_world(computed).frequency_hz == 28e9

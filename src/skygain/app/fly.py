@@ -261,7 +261,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
         city,
         uav_altitude_m=altitude_m,
         transmitter_m=transmitter,
-        frequency_hz=request.frequency_hz,
+        frequency_hz=request.carrier_hz,
     )
     scenario = replace(scenario, datum_m=datum_m)
     notes = (*(reading.notes if reading else ()), *gridded.notes)

@@ -67,8 +67,8 @@ class PlaceRequest(CityRequest):
     propagation: str = named("union", names="skygain.propagation:PROPAGATION")
     """how the truth of a city without one is computed: union (rays and over the rooftops),
     over-rooftop or gudmundson"""
-    frequency_hz: float = named(5e9, flag="frequency-ghz", scale=1e9)
-    """carrier frequency"""
+    frequency_hz: float | None = named(None, flag="frequency-ghz", scale=1e9)
+    """carrier frequency; left out, that of the traced links, 5 GHz for any other city"""
     crop: int | None = None
     """side in cells of a random window to survey, 0 for the whole map; left out, 96 cells, but
     files are whole"""
@@ -80,8 +80,15 @@ class PlaceRequest(CityRequest):
                 f"`crop` must be 2 cells or more, or 0 for whole maps, got {self.crop}; 96 is the "
                 "paper's"
             )
-        if not 0 < self.frequency_hz < math.inf:
+        if self.frequency_hz is not None and not 0 < self.frequency_hz < math.inf:
             raise InputError(f"`frequency_hz` must be above 0, got {self.frequency_hz:g}")
+
+    @property
+    def carrier_hz(self) -> float:
+        """The carrier of a world that does not bring one."""
+        from skygain.scenario import FREQUENCY_HZ
+
+        return FREQUENCY_HZ if self.frequency_hz is None else self.frequency_hz
 
 
 @dataclass(frozen=True, kw_only=True)

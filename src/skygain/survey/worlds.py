@@ -12,6 +12,7 @@ __all__ = ["World", "open_world", "simulated_instrument"]
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -135,10 +136,16 @@ def _dataset_world(
     dataset: ChannelDataset,
     number: int | None,
     altitude_m: float,
-    frequency_hz: float,
+    frequency_hz: float | None,
     crop: int,
     rng: np.random.Generator,
 ) -> World:
+    if frequency_hz is not None and not isclose(frequency_hz, dataset.frequency_hz, rel_tol=1e-6):
+        raise InputError(
+            f"the links of that data set were traced at {dataset.frequency_hz / 1e9:g} GHz, not at "
+            f"{frequency_hz / 1e9:g} GHz; leave `frequency_hz` out, or choose a city whose "
+            "truth is computed"
+        )
     links = dataset.links(None, altitude_m)
     if not links:
         raise InputError(
@@ -161,7 +168,7 @@ def _dataset_world(
         truth_db=link.truth_db[rows, cols],
         ray_traced=link.ray_traced[rows, cols],
         altitude_m=altitude_m,
-        frequency_hz=frequency_hz,
+        frequency_hz=dataset.frequency_hz,
     )
 
 
@@ -235,10 +242,10 @@ def open_world(
     if place.propagation == "union":
         from skygain.propagation.truth import trace_truth
 
-        truth = trace_truth(*where, frequency_hz=place.frequency_hz)
+        truth = trace_truth(*where, frequency_hz=place.carrier_hz)
         gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
     else:
-        gain_db = model(*where, frequency_hz=place.frequency_hz, seed=seed)[0, 0]
+        gain_db = model(*where, frequency_hz=place.carrier_hz, seed=seed)[0, 0]
     window_city = city.cropped(row, col, window)
     return World(
         window_city,
@@ -246,7 +253,7 @@ def open_world(
         gain_db[rows, cols],
         traced,
         altitude_m,
-        place.frequency_hz,
+        place.carrier_hz,
         datum_m,
         reading,
     )
