@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skygain.cities.footprints import rasterised, read_footprints
+from skygain.cities.footprints import read_footprints
 from skygain.cities.manhattan import manhattan_city
 from skygain.cities.opening import open_city
+from skygain.cities.prisms import rasterised
 from skygain.cities.raster import save_heights
 from skygain.grid import Grid
 from skygain.ground.errors import InputError

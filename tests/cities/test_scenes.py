@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from skygain.cities import open_city
+from skygain.cities import open_city, read_city
 from skygain.cities.scenes import SCENES, load_scene, scene_city, scene_heights
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
@@ -36,6 +37,30 @@ def test_the_street_canyon_has_its_six_houses() -> None:
         )
     np.testing.assert_allclose(city.height_m[~near_wall], expected[~near_wall], atol=0.05)
     assert len(np.unique(np.round(expected, 1))) == 4  # the ground and three heights
+
+
+def test_a_scene_of_ones_own_is_read_from_its_file() -> None:
+    """The file of a scene that ships gives the same roofs; its ground is found by its name."""
+    import sionna.rt as rt
+
+    ours = read_city(str(rt.scene.simple_street_canyon), spacing_m=4.0)
+    np.testing.assert_array_equal(
+        ours.city.height_m, scene_city("simple_street_canyon", spacing_m=4.0).height_m
+    )
+    assert "the object 'floor' is taken as the ground (named so)" in ours.notes
+    assert ours.counts["objects"] == 7
+
+
+def test_a_scene_that_is_none_is_refused(tmp_path: Path) -> None:
+    for text, message in (
+        ('<scene version="2.1.0"></scene>', "no objects"),
+        ("<scene", "not readable as a scene"),
+        ('<scene version="2.1.0"><shape type="ply" id="a"/></scene>', "not readable as a scene"),
+    ):
+        (tmp_path / "s.xml").write_text(text)
+        with pytest.raises(InputError, match=message) as error:
+            open_city(tmp_path / "s.xml")
+        assert "\n" not in str(error.value)
 
 
 def test_the_arch_stands_where_it_stands() -> None:

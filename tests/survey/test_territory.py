@@ -106,3 +106,8 @@ def test_areas_bound_the_map_and_zones_the_flight(tmp_path: Path) -> None:
     assert any("zone.geojson: no flight over" in note for note in outcome.notes)
     with pytest.raises(InputError, match="no polygon touches the map"):
         fly(request("dsm_polder.tif", area=tmp_path / "area.geojson"))
+
+
+def test_rays_are_sent_over_level_ground_of_any_height() -> None:
+    asked = SurveyRequest(city=str(DATA / "dsm_polder.tif"), transmitter="118030,486850,20")
+    assert open_world(asked, altitude_m=25.0).city.ground_m.min() == -4.5

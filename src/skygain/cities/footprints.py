@@ -17,11 +17,10 @@ point, as OpenStreetMap's ``height`` is defined. Four rules need saying:
 
 from __future__ import annotations
 
-__all__ = ["DEFAULT_HEIGHT_M", "rasterised", "read_footprints"]
+__all__ = ["DEFAULT_HEIGHT_M", "read_footprints"]
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.cities.layers import Z
+from skygain.cities.prisms import by_third_coordinate, prisms, rasterised, with_parts
 from skygain.cities.reading import (
     CityOptions,
     Reading,
@@ -47,7 +47,7 @@ from skygain.cities.tags import (
     read_tags,
 )
 from skygain.cities.vector import Layer, open_layer
-from skygain.city import Building, City
+from skygain.city import City
 from skygain.frames import (
     Bounds,
     box_in_metres,
@@ -56,7 +56,6 @@ from skygain.frames import (
     metric_crs,
     transformed_bounds,
 )
-from skygain.grid import Grid
 from skygain.ground.errors import InputError, require
 
 DEFAULT_HEIGHT_M = 3 * LEVEL_M
@@ -67,9 +66,6 @@ _FARTHEST = 1e8
 
 _MARGIN_M = 100.0
 """how far beyond a box parts are looked for"""
-
-_COVERED = 0.9
-"""share of an outline that parts must cover to replace it entirely"""
 
 
 def read_footprints(path: str | Path, options: CityOptions | None = None, **given: Any) -> Reading:
@@ -102,25 +98,6 @@ def read_footprints(path: str | Path, options: CityOptions | None = None, **give
         raise InputError(
             f"{path.name}: the polygons cannot be mended ({error}); repair them in a GIS first"
         ) from error
-
-
-def rasterised(buildings: Sequence[Building], grid: Grid) -> NDArray[np.float32]:
-    """``[row, col]`` height of the highest building over each cell's centre, 0 where there is
-    none."""
-    features = require("rasterio.features", "geo")
-    rasterio = require("rasterio", "geo")
-    shapely = require("shapely", "geo")
-    if not buildings:
-        return np.zeros(grid.shape, dtype=np.float32)
-    west, _, _, north = grid.bounds_m
-    lowest_first = sorted(buildings, key=lambda b: b.height_m)
-    height = features.rasterize(
-        ((shapely.Polygon(b.footprint_m, b.holes_m), b.height_m) for b in lowest_first),
-        out_shape=grid.shape,
-        transform=rasterio.Affine(grid.spacing_m, 0.0, west, 0.0, -grid.spacing_m, north),
-        dtype="float32",
-    )
-    return np.ascontiguousarray(height[::-1], dtype=np.float32)
 
 
 def _read(path: Path, options: CityOptions) -> Reading:
@@ -162,7 +139,7 @@ def _read(path: Path, options: CityOptions) -> Reading:
             check_overlap(bounds, data_m, box, target)
     grid = grid_over(bounds, spacing_m, target)
     polygons, tags = _meeting(
-        *_with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m
+        *with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m
     )
     if not len(polygons):
         raise InputError("no building polygons in the box; choose a `box` that has some")
@@ -173,10 +150,10 @@ def _read(path: Path, options: CityOptions) -> Reading:
         remarks.append(
             f"the ground lies {city.ground_m.min():.4g} to {city.ground_m.max():.4g} m high"
         )
-    tags = _by_third_coordinate(polygons, tags, city, options, counts, remarks)
+    tags = by_third_coordinate(polygons, tags, city, options, counts, remarks)
     default = DEFAULT_HEIGHT_M if options.default_height_m is None else options.default_height_m
     missing = sum(tag.height_m is None for tag in tags)
-    buildings = _prisms(polygons, tags, default, counts)
+    buildings = prisms(polygons, tags, default, counts)
     city = replace(city, buildings=buildings, height_m=rasterised(buildings, grid))
     named = [name for name in source.fields if height_like(name)]
     if 2 * missing > len(tags) and named and field is None:
@@ -234,38 +211,6 @@ def _over(city: City, terrain: str) -> City:
 
     ground, datum = terrain_on(terrain, city.grid)
     return replace(city, ground_m=filled(ground)[0].astype(np.float32), ground_datum=datum)
-
-
-def _by_third_coordinate(
-    polygons: NDArray[np.object_],
-    tags: list[BuildingTags],
-    city: City,
-    options: CityOptions,
-    counts: Counter[str],
-    remarks: list[str],
-) -> list[BuildingTags]:
-    """Heights from the polygons' own third coordinate, where the ground beneath is known."""
-    known = [tag.z_m for tag in tags if tag.z_m is not None and tag.height_m in (None, tag.z_m)]
-    asked = options.height_field is not None and options.height_field.lower().startswith("z")
-    over_terrain = options.terrain not in (None, "none")
-    if not known or not (asked or all(tag.height_m is None for tag in tags)):
-        return tags
-    if not over_terrain:
-        if not asked:
-            remarks.append(
-                f"the polygons have a third coordinate from {min(known):g} to {max(known):g} m, "
-                "which is not used: give `terrain` if it is the roofs' height above sea level, or "
-                "`height_field` z if it is above ground"
-            )
-        return tags
-    found = []
-    for polygon, tag in zip(polygons, tags, strict=True):
-        if tag.z_m is not None and tag.height_m in (None, tag.z_m):
-            above = tag.z_m - city.ground_at(polygon.centroid.x, polygon.centroid.y)
-            counts["heights from the third coordinate minus the terrain"] += above > 0
-            tag = replace(tag, height_m=above if 0 < above <= 1000 else None)
-        found.append(tag)
-    return found
 
 
 def _frame(own: Any | None, box: Bounds | None) -> tuple[Any | None, Bounds | None, Bounds | None]:
@@ -355,79 +300,6 @@ def _polygons(
     )
     counts["without a polygon, left out"] += len(geometries) - len(np.unique(owner[good]))
     return shapely.orient_polygons(polygons[good]), [tags[i] for i in owner[good]]
-
-
-def _with_parts(
-    polygons: NDArray[np.object_], tags: list[BuildingTags], counts: Counter[str]
-) -> tuple[NDArray[np.object_], list[BuildingTags]]:
-    """Apply the rule for parts: outlines without what their parts cover, then the parts.
-
-    A part belongs to an outline if more than half of it lies inside.
-    """
-    shapely = require("shapely", "geo")
-    is_part = np.array([t.is_part for t in tags], dtype=bool)
-    parts = np.flatnonzero(is_part)
-    tree = shapely.STRtree(polygons[parts])
-    part_tags = {int(i): tags[i] for i in parts}
-    found: list[Any] = []
-    found_tags: list[BuildingTags] = []
-    for i in np.flatnonzero(~is_part):
-        outline = polygons[i]
-        near = parts[np.sort(tree.query(outline, predicate="intersects"))]
-        own = near[
-            shapely.area(shapely.intersection(polygons[near], outline))
-            > 0.5 * shapely.area(polygons[near])
-        ]
-        pieces = [outline]
-        if len(own):
-            left = shapely.difference(outline, shapely.union_all(polygons[own]))
-            replaced = shapely.area(left) < (1 - _COVERED) * shapely.area(outline)
-            counts[
-                "outlines replaced by their parts" if replaced else "outlines cut by their parts"
-            ] += 1
-            pieces = (
-                []
-                if replaced
-                else [p for p in shapely.get_parts(left) if p.geom_type == "Polygon" and p.area > 0]
-            )
-            for j in own:
-                if part_tags[int(j)].height_m is None and tags[i].height_m is not None:
-                    part_tags[int(j)] = replace(part_tags[int(j)], height_m=tags[i].height_m)
-        found += pieces
-        found_tags += [tags[i]] * len(pieces)
-    return np.array([*found, *polygons[parts]], dtype=object), [*found_tags, *part_tags.values()]
-
-
-def _prisms(
-    polygons: NDArray[np.object_],
-    tags: list[BuildingTags],
-    default_height_m: float,
-    counts: Counter[str],
-) -> tuple[Building, ...]:
-    shapely = require("shapely", "geo")
-    found = []
-    for polygon, tag in zip(
-        shapely.orient_polygons(shapely.remove_repeated_points(polygons)), tags, strict=True
-    ):
-        height, base = tag.height_m, tag.base_m
-        counts["heights from levels"] += tag.from_levels
-        counts["heights or levels not understood"] += tag.misread
-        if height is None:
-            height = base + default_height_m
-            counts[f"without a height, taken as {default_height_m:g} m"] += 1
-        if base >= height:
-            base = 0.0
-            counts["undersides above the top, taken as the ground"] += 1
-        rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
-        found.append(
-            Building(
-                footprint_m=rings[0],
-                height_m=float(height),
-                base_m=float(base),
-                holes_m=tuple(rings[1:]),
-            )
-        )
-    return tuple(found)
 
 
 def _meeting(

@@ -15,12 +15,12 @@ from skygain.city import City
 from skygain.ground.errors import InputError, did_you_mean
 
 
-def open_city(spec: str | int, options: CityOptions | None = None, **given: Any) -> City:
+def open_city(spec: str | int | Path, options: CityOptions | None = None, **given: Any) -> City:
     """The city of `read_city`, without the account of what its reader had to assume."""
     return read_city(spec, options, **given).city
 
 
-def read_city(spec: str | int, options: CityOptions | None = None, **given: Any) -> Reading:
+def read_city(spec: str | int | Path, options: CityOptions | None = None, **given: Any) -> Reading:
     """Make or read the city named ``spec``.
 
     Args:

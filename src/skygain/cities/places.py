@@ -9,7 +9,7 @@ from __future__ import annotations
 
 __all__ = ["FAR", "check_near", "position_on"]
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def _sides_away(grid: Grid, x_m: float, y_m: float) -> float:
     return _metres_away(grid, x_m, y_m) / (grid.spacing_m * max(grid.shape))
 
 
-def _off(grid: Grid, xy_m: Sequence[float]) -> str:
+def _off(grid: Grid, xy_m: Iterable[float]) -> str:
     x, y = (float(v) for v in xy_m)
     if not np.isfinite([x, y]).all():
         return "thousands of km"

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 __all__ = ["SCENES", "load_scene", "read_scene", "scene_city", "scene_heights"]
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def _own_scene(path: Path, spacing_m: float, box: Bounds | None) -> Reading:
     areas = {name: _area(thing.mi_mesh) for name, thing in scene.objects.items()}
     named = [name for name in areas if any(word in name.lower() for word in _GROUND_NAMES)]
     ground = max(named or areas, key=lambda name: areas[name])
-    city, remarks = _city_of(scene, ground, spacing_m, box, city_name(path)), []
+    city, remarks = _city_of(scene, ground, spacing_m, box, city_name(path), True), []
     how = "named so" if named else "the widest, for none is named ground, terrain or floor"
     remarks.append(f"the object {ground!r} is taken as the ground ({how})")
     if not city.height_m.any():
@@ -135,7 +136,14 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     return _city_of(scene, SCENES[name], spacing_m, box, f"scene:{name}")
 
 
-def _city_of(scene: Any, ground_name: str, spacing_m: float, box: Bounds | None, name: str) -> City:
+def _city_of(
+    scene: Any,
+    ground_name: str,
+    spacing_m: float,
+    box: Bounds | None,
+    name: str,
+    keep_ground: bool = False,
+) -> City:
     low, high = _corners(scene.objects[ground_name].mi_mesh)
     whole: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     bounds = whole if box is None else box_in_metres(box, None)
@@ -153,8 +161,8 @@ def _city_of(scene: Any, ground_name: str, spacing_m: float, box: Bounds | None,
     grid = grid_over(bounds, spacing_m, None)
     top, ground = scene_heights(scene, grid, ground=ground_name)
     height = np.where(top - ground < _NOTHING_M, 0.0, top - ground).astype(np.float32)
-    street = np.where(np.abs(ground) < _NOTHING_M, 0.0, ground).astype(np.float32)
-    return City(grid=grid, height_m=height, name=name, ground_m=street)
+    city = City(grid=grid, height_m=height, name=name)
+    return replace(city, ground_m=ground.astype(np.float32)) if keep_ground else city
 
 
 def scene_heights(

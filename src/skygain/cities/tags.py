@@ -87,6 +87,9 @@ KNOWN_NAMES = frozenset(
 )
 """plain names of all attributes that are looked at"""
 
+_UNKNOWN = (-1.0, -99.0, -999.0, -9999.0)
+"""numbers that producers write where they know none"""
+
 _NO = {"", "no", "false", "0", "none", "nan"}
 
 _UNITS_M = {
@@ -96,7 +99,9 @@ _UNITS_M = {
     "dm": 0.1,
 }
 
-_LENGTH = re.compile(r"~?\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z'\u2032\u2019]*)")
+_LENGTH = re.compile(
+    r"(?:~|ca\.?|approx\.?|about)?\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z'\u2032\u2019]*)"
+)
 _FEET_INCHES = re.compile(
     r"(\d+(?:\.\d+)?)\s*(?:['\u2032\u2019]|ft)\s*(\d+(?:\.\d+)?)\s*"
     r"(?:\"|in|''|\u2033|\u201d)"
@@ -290,6 +295,7 @@ def _first(
             raw is None
             or (isinstance(raw, float) and math.isnan(raw))
             or (isinstance(raw, str) and not raw.strip())
+            or _number(raw) in _UNKNOWN
         ):
             continue
         value = parse(raw)

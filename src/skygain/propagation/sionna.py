@@ -68,7 +68,12 @@ from numpy.typing import ArrayLike, NDArray
 from skygain.city import City
 from skygain.ground import llvm
 from skygain.ground.errors import InputError, require
-from skygain.propagation.base import check_altitudes, check_frequency, check_transmitters
+from skygain.propagation.base import (
+    check_altitudes,
+    check_frequency,
+    check_level,
+    check_transmitters,
+)
 from skygain.propagation.diffraction import free_space_gain_db
 from skygain.propagation.mesh import Mesh, city_buildings, clear_of_plane, ground_mesh, prism_mesh
 
@@ -186,6 +191,7 @@ def trace_gain_db(
         transmitters_per_call,
     )
     _check(settings)
+    check_level(city)
     transmitters = check_transmitters(city, transmitters_m)
     altitudes = check_altitudes(altitudes_m)
     rt = load_backend()

@@ -225,11 +225,6 @@ def open_world(
     if getattr(place, "above_sea", False):
         city, altitude_m, found_m, datum_m = at_sea_level(city, altitude_m, position)
         position = found_m or position
-    elif place.propagation == "union" and not city.is_level:
-        raise InputError(
-            "rays are traced over level ground only; give `propagation=over-rooftop`, or "
-            "`above_sea=True` with an altitude above sea level"
-        )
     if place.crop is not None:
         side = place.crop
     else:

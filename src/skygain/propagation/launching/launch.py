@@ -22,6 +22,7 @@ from skygain.ground.errors import InputError
 from skygain.propagation.base import (
     check_altitudes,
     check_frequency,
+    check_level,
     check_transmitters,
     wavelength_m,
 )
@@ -157,6 +158,7 @@ def launch_gain_db(
     """
     settings, antenna = settings or Launching(), antenna or Antenna()
     check_frequency(settings.frequency_hz)
+    check_level(city)
     transmitters, altitudes = check_transmitters(city, transmitters_m), check_altitudes(altitudes_m)
     buildings = city_buildings(city)
     kinds = sorted({b.material for b in buildings} | {"concrete"})
