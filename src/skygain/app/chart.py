@@ -14,8 +14,8 @@ from skygain.ground.files import writable_folder
 from skygain.instruments import grid_for, joined, on_grid, read_recording, read_series
 from skygain.instruments.recording import Recording
 from skygain.survey.mapping import RadioMap, next_places, radio_map
-from skygain.survey.requests import CityRequest, RecordingRequest
-from skygain.survey.territory import asked_position
+from skygain.survey.requests import RecordingRequest
+from skygain.survey.territory import asked_city, asked_position
 
 if TYPE_CHECKING:
     from skygain.grid import Grid
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _MOST_SERIES = 24
 """so many maps at once; of more signals those with most readings are mapped"""
 _FEWEST = 3
+_MOST_CELLS = 1_200_000
 
 
 def run_map(request: MapRequest, progress: Progress | None = None) -> str:
@@ -67,20 +68,16 @@ def chart(request: MapRequest, progress: Progress | None = None) -> list[RadioMa
     series, notes = _series(request)
     city = None
     if request.city is not None:
-        from skygain.cities import read_city
-
-        options = part(request, CityRequest)
-        del options["city"]
-        reading = read_city(request.city, **options)
+        reading = asked_city(request)
         city, notes = reading.city, [*notes, *reading.notes]
     first = joined([_placed_only(r) for r in series.values()])
-    grid = city.grid if city else grid_for(first, request.spacing_m or _spacing(first), request.box)
+    grid = city.grid if city else _grid(first, request)
     area = None
     if request.area is not None:
         from skygain.cities.areas import read_areas
 
         area = read_areas(request.area, grid).mask()
-    transmitter = _transmitter(request, grid)
+    transmitter = None if request.transmitter is None else asked_position(request.transmitter, grid)
     charts = []
     for number, (label, recording) in enumerate(series.items()):
         if progress:
@@ -141,22 +138,21 @@ def _placed_only(recording: Recording) -> Recording:
     )
 
 
-def _spacing(recording: Recording) -> float:
-    """Side of a cell in metres, coarse enough that the campaign's map has about 10⁶ cells at
-    most."""
-    spacing = 4.0
-    for coarser in (4.0, 5.0, 10.0, 20.0, 25.0, 50.0, 100.0, 200.0, 500.0):
-        spacing = coarser
+def _grid(recording: Recording, request: MapRequest) -> Grid:
+    """The map's grid: cells as asked for, those of a simulator's receivers, or coarse enough that
+    there are about 10⁶ at most."""
+    if request.spacing_m is not None:
+        return grid_for(recording, request.spacing_m, request.box)
+    for spacing in (None, 5.0, 10.0, 20.0, 25.0, 50.0, 100.0, 200.0):
         try:
-            if grid_for(recording, spacing).size <= 1_200_000:
-                break
-        except InputError:  # more cells than a map may have
+            grid = grid_for(recording, spacing, request.box)
+        except InputError as error:
+            if "cells" not in str(error):  # of another cause than a map with too many of them
+                raise
             continue
-    return spacing
-
-
-def _transmitter(request: MapRequest, grid: Grid) -> tuple[float, float, float] | None:
-    return None if request.transmitter is None else asked_position(request.transmitter, grid)
+        if grid.size <= _MOST_CELLS:
+            return grid
+    return grid_for(recording, 500.0, request.box)
 
 
 def _told(charts: list[RadioMap], threshold: float | None) -> list[str]:
