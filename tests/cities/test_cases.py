@@ -18,7 +18,7 @@ rasterio = pytest.importorskip("rasterio")
 DATA = Path(__file__).parent / "data"
 
 
-def heights(name: str, **options: Any) -> list[float]:
+def heights(name: str | Path, **options: Any) -> list[float]:
     """Heights of the buildings, in the file's order."""
     return [round(b.height_m, 1) for b in read_city(DATA / name, **options).city.buildings]
 
@@ -158,6 +158,38 @@ def test_overpass_with_the_geometry_inside(tmp_path: Path) -> None:
         read_city(tmp_path / "g.json").city.height_m,
         read_city(DATA / "overpass.json").city.height_m,
     )
+
+
+def test_archives(tmp_path: Path) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "c.kmz", "w") as archive:
+        archive.write(DATA / "city.kml", "doc.kml")
+    assert sorted(heights(tmp_path / "c.kmz")) == sorted(CITY)
+    with zipfile.ZipFile(tmp_path / "c.zip", "w") as archive:
+        for suffix in ("shp", "shx", "dbf"):
+            archive.write(DATA / f"city_utm.{suffix}", f"city_utm.{suffix}")
+    assert sorted(heights(tmp_path / "c.zip", crs="EPSG:32633")) == sorted(CITY)
+    with zipfile.ZipFile(tmp_path / "n.kmz", "w") as archive:
+        archive.writestr("readme.txt", "")
+    (tmp_path / "b.kmz").write_bytes(b"PK\x03\x04 no archive")
+    for name, message in (("n.kmz", "holds no .kml"), ("b.kmz", "not readable as KMZ")):
+        with pytest.raises(InputError, match=message):
+            read_city(tmp_path / name)
+
+
+def test_a_stray_polygon_is_named_with_the_box_that_leaves_it_out(tmp_path: Path) -> None:
+    import re
+
+    frame = geopandas.read_file(DATA / "city.geojson")
+    frame.loc[len(frame)] = ["yes", 5, shapely.box(0, 0, 1e-4, 1e-4)]
+    frame.to_file(tmp_path / "s.geojson")
+    with pytest.raises(InputError, match=r"1 of 7 polygons lie up to 5,\d+ km") as error:
+        read_city(tmp_path / "s.geojson")
+    found = re.search(r"`box=([\d.,]+)`", str(error.value))
+    assert found is not None
+    box = [float(v) for v in found[1].split(",")]
+    assert sorted(heights(tmp_path / "s.geojson", box=box)) == sorted(CITY)
 
 
 def test_citygml_is_sent_to_a_converter(tmp_path: Path) -> None:

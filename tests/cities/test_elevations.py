@@ -123,3 +123,19 @@ def test_a_terrain_with_gaps_is_filled_and_said() -> None:
     found = heights_over_terrain(roofs + 50, ground)
     np.testing.assert_allclose(found.height_m, roofs, atol=1e-4)
     assert found.counts["cells beyond the terrain model, taken as its nearest"] == 10 * 121
+
+
+def test_noise_is_no_polder(rng: np.random.Generator) -> None:
+    """Heights above ground that err by 0.3 m stay where they are."""
+    roofs = manhattan_city(2).height_m.astype(float)
+    found = heights_above_ground(roofs + rng.normal(0, 0.3, roofs.shape), 4.0)
+    assert not found.ground_m.any()
+    np.testing.assert_allclose(found.height_m, roofs, atol=1.5)
+
+
+def test_elevations_of_masked_roofs_are_refused() -> None:
+    roofs = manhattan_city(2).height_m.astype(float)
+    with pytest.raises(InputError, match="all else is masked"):
+        heights_above_ground(np.where(roofs > 0, roofs + 400, np.nan), 4.0)
+    masked = heights_above_ground(np.where(roofs > 0, roofs, np.nan), 4.0)
+    np.testing.assert_array_equal(masked.height_m, roofs.astype(np.float32))

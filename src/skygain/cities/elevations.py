@@ -55,6 +55,9 @@ _RAISED_SHARE = 0.25
 _EVEN_M = 0.5
 """ground that varies by less is level"""
 
+_SUNK_M = 1.0
+"""level ground that lies lower than this below zero is no error of the heights"""
+
 _NOISE_M = 0.5
 """two models of the same street differ by this much"""
 
@@ -107,7 +110,7 @@ def heights_above_ground(
     remarks: tuple[str, ...] = ()
     lows = _block_lows(np.where(known, values, 0.0), spacing_m)
     sunk = float(np.median(lows))
-    if not trusted and sunk < -_EVEN_M and np.ptp(np.quantile(lows, [0.05, 0.95])) <= _EVEN_M:
+    if not trusted and sunk < -_SUNK_M and np.ptp(np.quantile(lows, [0.05, 0.95])) <= _EVEN_M:
         ground, remarks = sunk, (f"the lowest level, {sunk:g} m, is taken as the ground",)
         values, low, high = values - sunk, low - sunk, high - sunk
     elif not trusted:
@@ -172,12 +175,13 @@ def _check_known(known: NDArray[np.bool_]) -> None:
 
 
 def _block_lows(values: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
-    """The lowest value of each block; a cell without data counts as open ground."""
+    """The lowest values of each block, beneath which lie 2 % of it; a cell without data counts as
+    open ground."""
     rows, cols = (max(1, round(n * spacing_m / _BLOCK_M)) for n in values.shape)
     strips = np.array_split(values, min(rows, values.shape[0]))
     return np.array(
         [
-            float(block.min())
+            float(np.quantile(block, 0.02))
             for strip in strips
             for block in np.array_split(strip, min(cols, values.shape[1]), axis=1)
         ]
@@ -187,8 +191,13 @@ def _block_lows(values: NDArray[np.float64], spacing_m: float) -> NDArray[np.flo
 def _check_no_terrain(
     lows: NDArray[np.float64], low: float, high: float, known: NDArray[np.bool_]
 ) -> None:
+    if low > _MASKED_TOP_M and not known.all():
+        raise InputError(
+            f"the values run from {low:g} to {high:g} m, so they are heights above sea level and "
+            f"all else is masked; {_NEED}"
+        )
     raised = float(np.mean(lows > _STREET_M))
-    if raised > _RAISED_SHARE or (low > _MASKED_TOP_M and not known.all()):
+    if raised > _RAISED_SHARE:
         raise InputError(
             f"the values run from {low:g} to {high:g} m and {raised:.0%} of the {_BLOCK_M:g} m "
             f"blocks have no cell at street level, so the terrain seems to be in them; {_NEED}"

@@ -38,6 +38,7 @@ from skygain.cities.reading import (
     existing_file,
 )
 from skygain.cities.tags import (
+    KNOWN_NAMES,
     LEVEL_M,
     BuildingTags,
     HeightField,
@@ -54,6 +55,7 @@ from skygain.frames import (
     grid_over,
     in_degrees,
     metric_crs,
+    parse_crs,
     transformed_bounds,
 )
 from skygain.ground.errors import InputError, require
@@ -63,6 +65,9 @@ DEFAULT_HEIGHT_M = 3 * LEVEL_M
 
 _FARTHEST = 1e8
 """no projection has coordinates beyond this; arithmetic with larger ones overflows"""
+
+_STRAY_M = 20_000.0
+"""a polygon closer to the middle of all is no stray"""
 
 _MARGIN_M = 100.0
 """how far beyond a box parts are looked for"""
@@ -137,6 +142,8 @@ def _read(path: Path, options: CityOptions) -> Reading:
         bounds = _outward(data_m, spacing_m) if box is None else box_in_metres(box, target)
         if box is not None:
             check_overlap(bounds, data_m, box, target)
+    if box is None:
+        _check_together(polygons, target)
     grid = grid_over(bounds, spacing_m, target)
     polygons, tags = _meeting(
         *with_parts(*_meeting(polygons, tags, _grown(grid.bounds_m)), counts), grid.bounds_m
@@ -155,7 +162,9 @@ def _read(path: Path, options: CityOptions) -> Reading:
     missing = sum(tag.height_m is None for tag in tags)
     buildings = prisms(polygons, tags, default, counts)
     city = replace(city, buildings=buildings, height_m=rasterised(buildings, grid))
-    named = [name for name in source.fields if height_like(name)]
+    named = [
+        name for name in source.fields if height_like(name) and plain_name(name) not in KNOWN_NAMES
+    ]
     if 2 * missing > len(tags) and named and field is None:
         remarks.append(
             f"heights may stand in {', '.join(named[:5])}: give `height_field` with the unit, e.g. "
@@ -201,6 +210,23 @@ def _check_metres(polygons: NDArray[np.object_]) -> None:
         raise InputError(
             f"all polygons lie within {max(east - west, north - south):.3g} m, so the coordinates "
             "look like degrees; give `crs` as 'EPSG:4326'"
+        )
+
+
+def _check_together(polygons: NDArray[np.object_], target: Any | None) -> None:
+    """Refuse a few strays far from all others, for which the map would be mostly empty."""
+    x0, y0, x1, y1 = require("shapely", "geo").bounds(polygons).T
+    middle = np.stack([(x0 + x1) / 2, (y0 + y1) / 2], axis=-1)
+    away = np.hypot(*(middle - np.median(middle, axis=0)).T)
+    stray = away > max(_STRAY_M, 20 * float(np.median(away)))
+    if 0 < stray.sum() <= 0.2 * len(polygons):
+        rest = _bounds(polygons[~stray])
+        if target is not None:
+            rest = transformed_bounds(rest, target, parse_crs("EPSG:4326"))
+        corners = ",".join(f"{v:.10g}" for v in rest)
+        raise InputError(
+            f"{int(stray.sum())} of {len(polygons)} polygons lie up to {away.max() / 1000:,.0f} km "
+            f"from the others; leave them out with `box={corners}`, or mend their coordinates"
         )
 
 

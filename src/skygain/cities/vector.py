@@ -11,6 +11,8 @@ __all__ = ["SUFFIXES", "Layer", "VectorLayer", "is_vector", "open_layer"]
 
 import json
 import warnings
+import zipfile
+import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -35,6 +37,7 @@ SUFFIXES = (
     ".jsonl",
     ".gpkg",
     ".shp",
+    ".zip",
     ".fgb",
     ".kml",
     ".kmz",
@@ -45,9 +48,12 @@ SUFFIXES = (
     ".osm",
     ".pbf",
 )
-"""endings of files that are read"""
+"""endings of files that are read; a ``.zip`` holds a Shapefile"""
 
 _SEQUENCES = (".geojsonl", ".geojsons", ".ndjson", ".jsonl")
+
+_MOST_KML = 500_000_000
+"""bytes of a document inside a KMZ"""
 
 _DRIVERS = (
     "GeoJSON",
@@ -186,6 +192,8 @@ def open_layer(
         raise InputError(
             "CityGML is not read; convert it to CityJSON (citygml-tools to-cityjson) and give that"
         )
+    if suffix == ".kmz":
+        return _gdal_layer(_zipped_kml(path), False, layer, crs)
     if suffix in _SEQUENCES:
         content, left_out = _sound_lines(path, skip_bad)
         return _gdal_layer(content, False, layer, crs, left_out=left_out)
@@ -207,8 +215,9 @@ def _gdal_layer(
         layers = [(str(name), str(kind)) for name, kind in pyogrio.list_layers(source)]
         if is_osm and layer is None:
             layer = "multipolygons"
-        # a content without a file has a layer without a lasting name
-        name = 0 if isinstance(source, bytes) and not is_osm else _chosen(layers, layer)
+        name: str | int = _chosen(layers, layer)
+        if str(name).startswith("pyogrio_"):
+            name = 0  # named after a file in memory, whose name does not last
         info = pyogrio.read_info(source, layer=name, **options, **further)
     if info["driver"] not in _DRIVERS:
         raise InputError(
@@ -223,6 +232,29 @@ def _gdal_layer(
     fields = tuple(str(field) for field in info["fields"])
     own = parse_crs(crs if crs is not None else info["crs"])
     return VectorLayer(source, name, own, fields, is_osm, left_out, further)
+
+
+def _zipped_kml(path: Path) -> bytes:
+    """The document inside a KMZ; GDAL loses its attributes when it looks into the archive itself.
+
+    Raises:
+        InputError: there is none.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            documents = [i for i in archive.infolist() if i.filename.lower().endswith(".kml")]
+            if not documents:
+                raise InputError("the archive holds no .kml; save it again as KML")
+            if documents[0].file_size > _MOST_KML:
+                raise InputError(
+                    f"the document inside has {documents[0].file_size:,} bytes, more than "
+                    f"{_MOST_KML:,}; save a part of it"
+                )
+            return archive.read(documents[0])
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, OSError) as error:
+        raise InputError(
+            f"not readable as KMZ ({' '.join(str(error).split())[:100]}); save it again as KML"
+        ) from error
 
 
 def _sound_lines(path: Path, skip_bad: bool) -> tuple[bytes, int]:
