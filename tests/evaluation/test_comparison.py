@@ -4,18 +4,28 @@ one."""
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import skygain
 from skygain.app.compare import run_comparison
+from skygain.datasets.layout import CityRecord
+from skygain.datasets.sample import SAMPLE, open_sample
+from skygain.datasets.store import ChannelDataset
+from skygain.datasets.writer import write_dataset
 from skygain.evaluation.comparison import compare
 from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.tables import comparison_json, comparison_markdown
 from skygain.ground.errors import InputError
+from skygain.ground.files import file_digest
+from skygain.ground.journal import Journal
+from skygain.networks.weights import write_weights
 from skygain.survey.methods import MethodSpec, parse_spec
+from skygain.survey.origins import method_files
 
 REQUEST = EvaluateRequest(
     predictors=("idw", "knn"),
@@ -40,12 +50,13 @@ def test_outputs_are_complete(folder: Path) -> None:
     assert results["table"] == (folder / "table.md").read_text()
     assert set(results["methods"]) == {m.label for m in REQUEST.pairs}
     assert (folder / "rmse_vs_steps.png").read_bytes()[:4] == b"\x89PNG"
-    assert len((folder / "rollouts.jsonl").read_text().splitlines()) == 4
+    assert len((folder / "rollouts.jsonl").read_text().splitlines()) == 1 + 4
 
 
 def test_a_killed_run_goes_on_and_ends_in_the_same_table(folder: Path, tmp_path: Path) -> None:
     lines = (folder / "rollouts.jsonl").read_text().splitlines(keepends=True)
-    (tmp_path / "rollouts.jsonl").write_text(lines[1] + lines[0][: len(lines[0]) // 2])
+    cut = lines[1][: len(lines[1]) // 2]
+    (tmp_path / "rollouts.jsonl").write_text(lines[0] + lines[2] + cut)
     flown: list[str] = []
     resumed = compare(
         replace(REQUEST, out=tmp_path, workers=2),
@@ -61,14 +72,72 @@ def test_a_killed_run_goes_on_and_ends_in_the_same_table(folder: Path, tmp_path:
 def test_planners_of_one_case_start_alike(folder: Path) -> None:
     """Two predictors flown by the random planner measure the same cells, so both see as many
     readings."""
-    lines = [json.loads(line) for line in (folder / "rollouts.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for line in (folder / "rollouts.jsonl").read_text().splitlines()[1:]]
     measured = {line["method"]: line["measured"] for line in lines}
     assert measured["idw / random-waypoint"] == measured["knn / random-waypoint"]
 
 
 def test_another_comparison_is_refused(folder: Path) -> None:
-    with pytest.raises(InputError, match="another comparison"):
+    with pytest.raises(InputError, match=r"steps changed; to begin anew, delete .*rollouts\.jsonl"):
         compare(replace(REQUEST, steps=30, out=folder))
+
+
+def _written(path: Path, like: ChannelDataset, records: list[CityRecord]) -> None:
+    write_dataset(
+        path,
+        records,
+        grid=like.grid,
+        altitudes_m=like.altitudes_m,
+        attributes=like.attributes,
+    )
+
+
+def test_a_data_set_replaced_at_its_path_is_told(tmp_path: Path) -> None:
+    """The content counts, not the name: the same file elsewhere goes on."""
+    data, elsewhere = tmp_path / "cities.zarr.zip", tmp_path / "moved.zarr.zip"
+    dataset = open_sample()
+    records = [dataset.record(i) for i in range(dataset.n_cities)]
+    _written(data, dataset, records)
+    request = replace(
+        REQUEST, methods=("idw / lawnmower",), predictors=(), planners=(), steps=3, out=tmp_path
+    )
+    before = compare(replace(request, data=str(data)))
+    shutil.copy(data, elsewhere)
+    records[-1] = replace(records[-1], gain_db=records[-1].gain_db - 3)
+    _written(data, dataset, records)
+    with pytest.raises(InputError, match="data changed"):
+        compare(replace(request, data=str(data)))
+    again = compare(replace(request, data=str(elsewhere)))
+    assert again.scores.keys() == before.scores.keys()
+    anew = compare(replace(request, data=str(data), out=tmp_path / "anew", max_surveys=None))
+    assert len(anew.cities) > 1
+
+
+def test_weights_trained_again_are_told(tmp_path: Path) -> None:
+    weights = tmp_path / "mine.safetensors"
+    card = {"policy": {}}
+    write_weights(weights, {"w": np.zeros(2, np.float32)}, card)
+    label = f"idw / imitation:weights={weights}"
+    files = method_files(MethodSpec.of_label(label))
+    assert set(files) == {"mine.safetensors"}
+    journal = tmp_path / "rollouts.jsonl"
+    request = replace(REQUEST, methods=(label,), predictors=(), planners=(), out=tmp_path)
+    belongs_to = request.settings | {"data": file_digest(SAMPLE), "skygain": skygain.__version__}
+    with Journal(journal, belongs_to) as kept:
+        scores = {"rmse_db": [1.0] * len(request.record_steps)}
+        record = {"case": 0, "city": 0, "method": label, "scores": scores, "delays": {"d": 1.0}}
+        kept.append(record | {"files": files})
+    write_weights(weights, {"w": np.ones(2, np.float32)}, card)
+    with pytest.raises(InputError, match=r"mine\.safetensors changed"):
+        compare(request)
+
+
+def test_a_line_that_is_no_rollout_is_told(folder: Path, tmp_path: Path) -> None:
+    header = (folder / "rollouts.jsonl").read_text().splitlines(keepends=True)[0]
+    for line in ('{"case": 1}', "[]", "{", '{"case": 1, "method": "a", "scores": 3}'):
+        (tmp_path / "rollouts.jsonl").write_text(f"{header}{line}\n")
+        with pytest.raises(InputError, match="line 2"):
+            compare(replace(REQUEST, out=tmp_path))
 
 
 def test_table_says_difference_zero_for_a_method_against_itself(folder: Path) -> None:
@@ -120,7 +189,7 @@ def test_whole_maps_and_other_windows(tmp_path: Path) -> None:
     whole = compare(replace(REQUEST, crop=0, steps=5, out=tmp_path / "whole"))
     assert "windows of 60 × 60 cells" in comparison_markdown(small)
     assert "whole maps" in comparison_markdown(whole)
-    assert small.request.fingerprint != whole.request.fingerprint
+    assert small.request.settings != whole.request.settings
     label = whole.request.pairs[0].label
     assert small.scores[label]["rmse_db"][0, -1] != whole.scores[label]["rmse_db"][0, -1]
     with pytest.raises(InputError, match="0 for whole maps"):

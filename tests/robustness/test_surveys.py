@@ -5,50 +5,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import random
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
-TRIALS = int(os.environ.get("SKYGAIN_TRIALS", "2"))
+from .processes import SIGNALS, TRIALS, ended, skygain, small_disk, wait_for_lines
+
 ASKED = (
     "survey", "--city", "sample:9", "--predictor", "kriging-blind", "--planner",
     "random-waypoint", "--steps", "60", "--noise-db", "2",
 )  # fmt: skip
-SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP]
-
-
-def skygain(*words: str | Path, **options: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "skygain", *map(str, words)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, **(pipes | options))  # type: ignore[call-overload]
-
-
-def ended(child: subprocess.Popen[str]) -> tuple[int, str, str]:
-    out, err = child.communicate(timeout=240)
-    return child.returncode, out, err
 
 
 def result(folder: Path) -> tuple[bytes, object]:
     """What has to be the same after any death: the readings, and the scores."""
     found = json.loads((folder / "results.json").read_text())
     return (folder / "measurements.csv").read_bytes(), found["scores"]
-
-
-def wait_for_lines(path: Path, lines: int, child: subprocess.Popen[str]) -> None:
-    """Until the flight's journal has so many records, or the flight is over."""
-    while child.poll() is None:
-        with contextlib.suppress(OSError):
-            if path.read_bytes().count(b"\n") >= lines:
-                return
-        time.sleep(0.002)
 
 
 @pytest.fixture(scope="module")
@@ -132,26 +107,16 @@ def test_nothing_to_resume_is_told(tmp_path: Path) -> None:
     assert "no journal" in err
 
 
-@pytest.mark.skipif(
-    sys.platform != "linux" or os.geteuid() != 0, reason="a small tmpfs needs root on Linux"
-)
 @pytest.mark.parametrize("blocks", [24, 300])
 def test_a_full_disk_keeps_the_flight(
     tmp_path: Path, whole: tuple[bytes, object], blocks: int
 ) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={blocks}k", "none", str(disk)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("this machine does not let a small tmpfs be mounted")
-    try:
-        code, _, err = ended(skygain(*ASKED, "--out", disk / "survey"))
+    with small_disk(tmp_path / "disk", blocks) as disk:
+        code, _, err = ended(skygain(*ASKED, "--out", disk.path / "survey"))
         assert code == 2, err
         assert "No space left" in err
         assert "Traceback" not in err
-        subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
-        code, _, err = ended(skygain("survey", "--resume", disk / "survey"))
+        disk.enlarge()
+        code, _, err = ended(skygain("survey", "--resume", disk.path / "survey"))
         assert code == 0, err
-        assert result(disk / "survey") == whole
-    finally:
-        subprocess.run(["umount", str(disk)], check=False)
+        assert result(disk.path / "survey") == whole

@@ -5,9 +5,11 @@ from __future__ import annotations
 __all__ = ["run_comparison"]
 
 from skygain.app.progress import SILENT, Progress
-from skygain.evaluation.comparison import compare
+from skygain.app.signals import told_of_signals
+from skygain.evaluation.comparison import JOURNAL, compare
 from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.tables import comparison_json, comparison_markdown, curve_intervals
+from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.ground.strict_json import json_text
 
@@ -19,6 +21,18 @@ def run_comparison(request: EvaluateRequest, progress: Progress = SILENT) -> str
     Raises:
         InputError: see `skygain.evaluation.comparison.compare`; ``out`` cannot be written.
     """
+    go_on = "every finished survey is kept; the same command goes on"
+    with told_of_signals(f"ended; {go_on}", f"ended; {go_on}"):
+        try:
+            return _compared(request, progress)
+        except InputError as error:
+            began = (request.out / JOURNAL).exists()
+            if not (began and isinstance(error.__cause__, OSError)):
+                raise
+            raise InputError(f"{error}; {go_on}") from error
+
+
+def _compared(request: EvaluateRequest, progress: Progress) -> str:
     from skygain.reports.pictures import rmse_curves
 
     progress.phase("flying")

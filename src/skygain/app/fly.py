@@ -31,6 +31,7 @@ from skygain.reports.folder import FILES
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.methods import MethodSpec
+from skygain.survey.origins import method_files
 from skygain.survey.requests import RecordingRequest
 from skygain.survey.tape import FlightTape
 from skygain.survey.territory import asked_city, asked_position, at_sea_level, bounded
@@ -119,7 +120,7 @@ def _journal(request: SurveyRequest) -> Journal:
         str(value): file_digest(value)
         for value in plain(request.stored()).values()
         for value in _paths(value)
-    }
+    } | method_files(MethodSpec(request.predictor, request.planner))
     belongs_to = {"request": request.stored(), "files": files, "skygain": skygain.__version__}
     anew = "give `overwrite=True`"
     return Journal(request.out / JOURNAL, belongs_to, anew=anew)

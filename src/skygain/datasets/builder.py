@@ -19,7 +19,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -124,23 +123,16 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
         progress(done, total, None)
     if not missing:
         return
-    try:
-        with process_pool(min(workers, len(missing))) as pool:
-            tasks = [
-                pool.submit(_trace_city, config, seed, split, _shard(parts, seed))
-                for seed, split in missing
-            ]
-            for count, task in enumerate(as_completed(tasks), start=1):
-                task.result()
-                if progress:
-                    left = (time.monotonic() - began) / count * (len(missing) - count)
-                    progress(done + count, total, left)
-    except BrokenProcessPool as error:
-        raise InputError(
-            "a worker process ended before its city was done, perhaps for want of memory; finished "
-            "cities are kept, "
-            "run the same command again, with fewer workers"
-        ) from error
+    with process_pool(min(workers, len(missing))) as pool:
+        tasks = [
+            pool.submit(_trace_city, config, seed, split, _shard(parts, seed))
+            for seed, split in missing
+        ]
+        for count, task in enumerate(as_completed(tasks), start=1):
+            task.result()
+            if progress:
+                left = (time.monotonic() - began) / count * (len(missing) - count)
+                progress(done + count, total, left)
 
 
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:

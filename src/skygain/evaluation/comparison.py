@@ -1,36 +1,41 @@
 """Many surveys, several methods, one paired table.
 
 Each (case, method) pair is an independent rollout, flown in a worker process. Its result is a line
-of ``rollouts.jsonl`` as soon as it is there, and a run that was killed goes on where it stopped.
+of the journal ``rollouts.jsonl`` as soon as it is there, and a run that was killed goes on where it
+stopped. The journal belongs to the content of the data, the settings, the release and the weights.
 Rollouts are deterministic: neither the number of workers nor an interruption changes the table.
 """
 
 from __future__ import annotations
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["JOURNAL", "Comparison", "compare"]
 
-import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import skygain
 from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.rollout import rollout
 from skygain.ground.errors import InputError
 from skygain.ground.executor import process_pool
-from skygain.ground.files import writable_folder
+from skygain.ground.files import file_digest, writable_folder
+from skygain.ground.journal import Journal
 from skygain.survey.methods import MethodSpec
+from skygain.survey.origins import method_files
 
 if TYPE_CHECKING:
     from skygain.datasets.cases import Case
+    from skygain.datasets.store import ChannelDataset
 
+JOURNAL = "rollouts.jsonl"
+"""name of the file that keeps the rollouts"""
 Progress = Callable[[int, int, str], None]
 """told (rollouts done, rollouts in all, label of the last one)"""
 
@@ -52,13 +57,9 @@ class Comparison:
     """``delays[method label][delay name][case]`` in milliseconds"""
 
 
-@lru_cache(maxsize=2)
-def _cases(request: EvaluateRequest) -> list[Case]:
+def _cases(request: EvaluateRequest, dataset: ChannelDataset) -> list[Case]:
     from skygain.datasets.cases import survey_cases
-    from skygain.datasets.sample import open_sample
-    from skygain.datasets.store import ChannelDataset
 
-    dataset = open_sample() if request.data == "sample" else ChannelDataset.open(request.data)
     return survey_cases(
         dataset,
         request.split,
@@ -71,9 +72,8 @@ def _cases(request: EvaluateRequest) -> list[Case]:
     )
 
 
-def _run(request: EvaluateRequest, index: int, method: MethodSpec) -> dict[str, Any]:
+def _run(request: EvaluateRequest, case: Case, method: MethodSpec) -> dict[str, Any]:
     """One rollout, in a worker process."""
-    case = _cases(request)[index]
     outcome = rollout(
         case,
         method,
@@ -85,71 +85,90 @@ def _run(request: EvaluateRequest, index: int, method: MethodSpec) -> dict[str, 
     return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
-def _read_lines(path: Path) -> list[dict[str, Any]]:
-    """The complete lines of a journal; a last line cut off by a kill is dropped from the file
-    too."""
-    if not path.exists():
-        return []
-    text = path.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole)
-    return [json.loads(line) for line in whole.splitlines()]
-
-
 def compare(request: EvaluateRequest, progress: Progress | None = None) -> Comparison:
     """Fly every method in every case, going on from ``rollouts.jsonl`` when ``out`` holds it.
 
     Raises:
-        InputError: unknown names, unreadable data, or rollouts in ``out`` that belong to another
-            comparison.
+        InputError: unknown names, unreadable data, or rollouts in ``out`` of other data, settings,
+            weights or another release.
     """
+    from skygain.datasets.sample import open_sample
+    from skygain.datasets.store import ChannelDataset
+
     methods = request.pairs
-    for method in methods:
-        method.build_predictor()
-        method.build_planner()
-    cases = _cases(request)
-    journal = writable_folder(request.out) / "rollouts.jsonl"
-    done: dict[tuple[int, str], dict[str, Any]] = {}
-    for line in _read_lines(journal):
-        if line["fingerprint"] != request.fingerprint:
-            raise InputError(
-                f"{journal} holds rollouts of another comparison; give another `out` or delete "
-                "that file"
-            )
-        done[line["case"], line["method"]] = line
-    missing = [
-        (i, m) for i in range(len(cases)) for m in methods if (cases[i].link, m.label) not in done
-    ]
-    total, count = len(cases) * len(methods), len(cases) * len(methods) - len(missing)
-    workers = min(request.workers or os.cpu_count() or 1, max(1, len(missing)))
-    with journal.open("a") as sink:
-
-        def keep(line: dict[str, Any]) -> None:
-            nonlocal count
-            line = {"fingerprint": request.fingerprint, **line}
-            sink.write(json.dumps(line) + "\n")
-            sink.flush()
-            done[line["case"], line["method"]] = line
-            count += 1
-            if progress:
-                progress(count, total, line["method"])
-
-        if missing:
-            with process_pool(workers) as pool:
-                queue = iter(missing)
-                running: set[Future[dict[str, Any]]] = set()
-                while True:
-                    for index, method in queue:
-                        running.add(pool.submit(_run, request, index, method))
-                        if len(running) >= 2 * workers:
-                            break
-                    if not running:
-                        break
-                    finished, running = wait(running, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        keep(future.result())
+    files = {method.label: method_files(method) for method in methods}
+    dataset = open_sample() if request.data == "sample" else ChannelDataset.open(request.data)
+    cases = _cases(request, dataset)
+    belongs_to = request.settings | {
+        "data": file_digest(dataset.path),
+        "skygain": skygain.__version__,
+    }
+    path = writable_folder(request.out) / JOURNAL
+    anew = f"delete {path} or give another `out`"
+    with Journal(path, belongs_to, anew=anew) as journal:
+        done = _flown_before(journal, files, len(request.record_steps), anew)
+        pairs = [(case, method) for case in cases for method in methods]
+        missing = [(c, m) for c, m in pairs if (c.link, m.label) not in done]
+        count = len(pairs) - len(missing)
+        workers = min(request.workers or os.cpu_count() or 1, max(1, len(missing)))
+        with closing(_flown(request, missing, workers)) as flown:
+            for line in flown:
+                journal.append(line | {"files": files[line["method"]]})
+                done[line["case"], line["method"]] = line
+                count += 1
+                if progress:
+                    progress(count, len(pairs), line["method"])
     return _collected(request, cases, done)
+
+
+def _flown(
+    request: EvaluateRequest, missing: list[tuple[Case, MethodSpec]], workers: int
+) -> Generator[dict[str, Any], None, None]:
+    """The rollouts of ``missing`` as they end."""
+    if not missing:
+        return
+    with process_pool(workers) as pool:
+        queue = iter(missing)
+        running: set[Future[dict[str, Any]]] = set()
+        while True:
+            for case, method in queue:
+                running.add(pool.submit(_run, request, case, method))
+                if len(running) >= 2 * workers:
+                    break
+            if not running:
+                return
+            finished, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+
+
+def _flown_before(
+    journal: Journal, files: dict[str, dict[str, str]], n_scores: int, anew: str
+) -> dict[tuple[int, str], dict[str, Any]]:
+    """The rollouts that the journal holds, by case and method; those of methods that are not asked
+    for now may have had other weights."""
+    done = {}
+    for number, line in enumerate(journal.records, start=2):
+        try:
+            case, method = int(line["case"]), str(line["method"])
+            whole = all(len(values) == n_scores for values in line["scores"].values())
+            if not (whole and line["scores"] and line["delays"]):
+                raise ValueError
+            before = dict(line["files"])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise InputError(
+                f"line {number} of {journal.path} is no rollout of this comparison; to begin "
+                f"anew, {anew}"
+            ) from None
+        now = files.get(method, before)
+        if now != before:
+            changed = sorted(n for n in {*now, *before} if now.get(n) != before.get(n))
+            raise InputError(
+                f"{journal.path} holds surveys of {method!r} with other files: "
+                f"{', '.join(changed)} changed; to begin anew, {anew}"
+            )
+        done[case, method] = line
+    return done
 
 
 def _collected(

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 __all__ = ["EvaluateRequest"]
 
-import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from skygain.ground.declared import named
 from skygain.ground.errors import InputError
@@ -17,8 +15,8 @@ from skygain.survey.requests import FlightRequest
 if TYPE_CHECKING:
     from skygain.survey.methods import MethodSpec
 
-_OF_THE_RUN = ("predictors", "planners", "methods", "max_surveys", "workers", "out")
-"""fields that do not change what a rollout finds"""
+_OF_THE_RUN = ("predictors", "planners", "methods", "max_surveys", "data")
+"""fields that do not change what a rollout finds; of the data their content counts"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +82,7 @@ class EvaluateRequest(FlightRequest):
         return sorted({*range(self.record_every, self.steps + 1, self.record_every), self.steps})
 
     @property
-    def fingerprint(self) -> str:
-        """Same for runs whose rollouts may be mixed: all but the list of methods and the number of
-        surveys."""
-        kept = {k: v for k, v in self.stored().items() if k not in _OF_THE_RUN}
-        return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()[:16]
+    def settings(self) -> dict[str, Any]:
+        """What a rollout depends on besides its method and the data; runs that agree in it may be
+        mixed."""
+        return {k: v for k, v in self.stored().items() if k not in _OF_THE_RUN}
