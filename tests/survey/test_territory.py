@@ -108,6 +108,21 @@ def test_areas_bound_the_map_and_zones_the_flight(tmp_path: Path) -> None:
         fly(request("dsm_polder.tif", area=tmp_path / "area.geojson"))
 
 
+def test_a_ceiling_does_not_open_a_zone_to_a_flight_that_keeps_a_level(
+    hill: Path, tmp_path: Path
+) -> None:
+    """Over the hill such a flight may be below the ceiling; the whole zone stays closed."""
+    zone = {"ceiling": 30.0, "geometry": shapely.box(600000, 5339680, 600100, 5340000)}
+    geopandas.GeoDataFrame([zone], geometry="geometry", crs=32633).to_file(tmp_path / "z.gpkg")
+    common = {"terrain": str(hill), "no_fly": tmp_path / "z.gpkg", "altitude_m": 125.0}
+    level = fly(request("dsm_harbour_hill.tif", **common, above_sea=True))
+    assert level.scenario.no_fly is not None
+    assert level.scenario.no_fly.any()
+    assert any("keeps a level" in note for note in level.notes)
+    over = fly(request("dsm_harbour_hill.tif", **common))
+    assert not over.scenario.no_fly.any()
+
+
 def test_rays_are_sent_over_level_ground_of_any_height() -> None:
     asked = SurveyRequest(city=str(DATA / "dsm_polder.tif"), transmitter="118030,486850,20")
     assert open_world(asked, altitude_m=25.0).city.ground_m.min() == -4.5

@@ -32,6 +32,8 @@ def with_parts(
     shapely = require("shapely", "geo")
     is_part = np.array([t.is_part for t in tags], dtype=bool)
     parts = np.flatnonzero(is_part)
+    if not len(parts):
+        return polygons, tags
     tree = shapely.STRtree(polygons[parts])
     part_tags = {int(i): tags[i] for i in parts}
     found: list[Any] = []

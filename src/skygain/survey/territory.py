@@ -101,7 +101,11 @@ def bounded(scenario: Scenario, request: TerritoryRequest) -> tuple[Scenario, tu
         scenario = replace(scenario, wanted=mask)
     if request.no_fly is not None:
         zones = read_areas(request.no_fly, scenario.grid, name="no_fly")
-        mask = zones.mask(scenario.uav_altitude_m)
+        # over a hill a level flight is lower above the ground than its altitude: no ceiling counts
+        level = scenario.datum_m is not None
+        mask = zones.mask(None if level else scenario.uav_altitude_m)
+        if level and np.isfinite(zones.ceiling_m).any():
+            notes.append("ceilings above ground do not count for a flight that keeps a level")
         notes += [
             f"{request.no_fly.name}: no flight over {mask.mean():.1%} of the cells at "
             f"{scenario.altitude_text}"
