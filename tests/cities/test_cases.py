@@ -74,6 +74,35 @@ def test_a_height_field_is_named_with_its_unit() -> None:
         read_city(DATA / "nyc_heightroof.geojson", height_field="roofs")
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "right"),
+    [
+        ("HEIGHT_M", 12, 12.0),
+        ("Building_Height_FT", 100, 30.5),
+        ("H\u00f6he", 12, 12.0),
+        ("stories", 4, 12.0),
+        ("measuredHeight", 11, 11.0),
+        ("render_height", 14, 14.0),
+    ],
+)
+def test_columns_of_other_producers(
+    tmp_path: Path, column: str, value: float, right: float
+) -> None:
+    frame = geopandas.read_file(DATA / "city.geojson")[["geometry"]]
+    frame[column] = value
+    frame.to_file(tmp_path / "c.gpkg")
+    assert set(heights(tmp_path / "c.gpkg")) == {right}
+
+
+@pytest.mark.parametrize("column", ["roof_height", "bldg_hgt", "heightroof"])
+def test_columns_that_may_hold_heights_are_named(tmp_path: Path, column: str) -> None:
+    frame = geopandas.read_file(DATA / "city.geojson")[["geometry"]]
+    frame[column] = 33.0
+    frame.to_file(tmp_path / "c.gpkg")
+    assert f"heights may stand in {column}" in read_city(tmp_path / "c.gpkg").notes[1]
+    assert heights(tmp_path / "c.gpkg", height_field=column) == [33.0] * 6
+
+
 def test_the_third_coordinate_counts_over_a_terrain() -> None:
     assert any("third coordinate" in note for note in read_city(DATA / "polygonz.geojson").notes)
     assert heights("polygonz.geojson", terrain="200") == [12, 20, 9, 15, 30, 7]

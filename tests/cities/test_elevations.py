@@ -103,9 +103,11 @@ def test_generated_cities_are_never_taken_for_terrain() -> None:
         slope = np.linspace(0, 12, roofs.shape[1])[None] + 0 * roofs
         with pytest.raises(InputError, match="terrain"):
             heights_above_ground(roofs + slope, 4.0)
-        split = heights_over_terrain(roofs + slope, slope)
+        split = heights_over_terrain(roofs + slope, slope, 4.0)
         np.testing.assert_allclose(split.height_m, roofs, atol=1e-4)
-        above = heights_over_terrain(roofs, slope + 100)  # heights above ground, with their ground
+        above = heights_over_terrain(
+            roofs, slope + 100, 4.0
+        )  # heights above ground, with their ground
         np.testing.assert_allclose(above.height_m, roofs, atol=1e-4)
         assert above.ground_m.max() == pytest.approx(112)
 
@@ -113,14 +115,14 @@ def test_generated_cities_are_never_taken_for_terrain() -> None:
 def test_models_of_two_places_are_refused() -> None:
     roofs = manhattan_city(1).height_m.astype(float) + 500
     with pytest.raises(InputError, match="nowhere touches it"):
-        heights_over_terrain(roofs, np.full(roofs.shape, 300.0))
+        heights_over_terrain(roofs, np.full(roofs.shape, 300.0), 4.0)
 
 
 def test_a_terrain_with_gaps_is_filled_and_said() -> None:
     roofs = manhattan_city(1).height_m.astype(float)
     ground = np.full(roofs.shape, 50.0)
     ground[:10] = np.nan
-    found = heights_over_terrain(roofs + 50, ground)
+    found = heights_over_terrain(roofs + 50, ground, 4.0)
     np.testing.assert_allclose(found.height_m, roofs, atol=1e-4)
     assert found.counts["cells beyond the terrain model, taken as its nearest"] == 10 * 121
 
@@ -139,3 +141,8 @@ def test_elevations_of_masked_roofs_are_refused() -> None:
         heights_above_ground(np.where(roofs > 0, roofs + 400, np.nan), 4.0)
     masked = heights_above_ground(np.where(roofs > 0, roofs, np.nan), 4.0)
     np.testing.assert_array_equal(masked.height_m, roofs.astype(np.float32))
+
+
+def test_the_wrong_terrain_does_not_let_a_surface_model_pass() -> None:
+    with pytest.raises(InputError, match="terrain seems to be in them"):
+        read_city(DATA / "dsm_harbour_hill.tif", terrain="5")

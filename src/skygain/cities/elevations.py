@@ -122,7 +122,9 @@ def heights_above_ground(
     return Heights(height, np.array(ground, np.float32), _occurred(counts), remarks)
 
 
-def heights_over_terrain(values_m: NDArray[np.float64], ground_m: NDArray[np.float64]) -> Heights:
+def heights_over_terrain(
+    values_m: NDArray[np.float64], ground_m: NDArray[np.float64], spacing_m: float
+) -> Heights:
     """Values of a surface model, or of heights above ground, with the ground beneath them.
 
     Which of the two they are is told by the streets: at street level a surface model equals the
@@ -140,6 +142,8 @@ def heights_over_terrain(values_m: NDArray[np.float64], ground_m: NDArray[np.flo
     on_zero = np.abs(values[known]) <= _STREET_M
     remarks: tuple[str, ...] = ("the surface is taken as above sea level, minus the terrain",)
     if on_zero.mean() > on_ground.mean():
+        lows = _block_lows(np.where(known, values, 0.0), spacing_m)
+        _check_no_terrain(lows, float(values[known].min()), float(values[known].max()), known)
         above, remarks = values, ("the heights are taken as above ground, over the terrain",)
     elif on_ground.mean() < 0.01:
         raise InputError(

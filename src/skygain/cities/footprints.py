@@ -38,7 +38,7 @@ from skygain.cities.reading import (
     existing_file,
 )
 from skygain.cities.tags import (
-    KNOWN_NAMES,
+    HEIGHT_NAMES,
     LEVEL_M,
     BuildingTags,
     HeightField,
@@ -163,7 +163,7 @@ def _read(path: Path, options: CityOptions) -> Reading:
     buildings = prisms(polygons, tags, default, counts)
     city = replace(city, buildings=buildings, height_m=rasterised(buildings, grid))
     named = [
-        name for name in source.fields if height_like(name) and plain_name(name) not in KNOWN_NAMES
+        name for name in source.fields if height_like(name) and plain_name(name) not in HEIGHT_NAMES
     ]
     if 2 * missing > len(tags) and named and field is None:
         remarks.append(

@@ -292,7 +292,7 @@ def _understood(
 ) -> Heights:
     if ground is None:
         return heights_above_ground(values, grid.spacing_m, trusted=terrain == "none")
-    return heights_over_terrain(values, ground)
+    return heights_over_terrain(values, ground, grid.spacing_m)
 
 
 def _sampled(

@@ -8,6 +8,7 @@ it: names are compared without case and punctuation, so ``building:levels``, ``b
 from __future__ import annotations
 
 __all__ = [
+    "HEIGHT_NAMES",
     "KNOWN_NAMES",
     "LEVEL_M",
     "BuildingTags",
@@ -44,8 +45,11 @@ _HEIGHT = (
     "altezza",
     "hoogte",
     "hoehe",
+    "hhe",  # Höhe
+    "renderheight",
     "estheight",
 )
+_HEIGHT_FT = ("heightft", "heightfeet", "buildingheightft", "buildingheightfeet", "roofheightft")
 _LEVELS = (
     "buildinglevels",
     "buildingl",
@@ -54,12 +58,14 @@ _LEVELS = (
     "numfloors",
     "floors",
     "storeys",
+    "stories",
+    "numstories",
     "storeysaboveground",
     "nbetages",
 )
 _ROOF_LEVELS = ("rooflevels",)
 _ROOF_HEIGHT = ("roofheight",)
-_BASE = ("minheight", "buildingminheight")
+_BASE = ("minheight", "buildingminheight", "renderminheight")
 _BASE_LEVEL = ("buildingminlevel", "minlevel", "minfloor")
 _PART = ("buildingpart", "buildingp", "buildingpa")
 _KIND = ("building",)
@@ -69,8 +75,12 @@ _CELLARS = ("buildinglevelsunderground",)
 _ORDER = ("layer",)
 _LAND = ("natural", "landuse", "leisure", "highway", "waterway")
 
+HEIGHT_NAMES = frozenset(_HEIGHT + _HEIGHT_FT + _LEVELS)
+"""plain names of the attributes that alone say how high a building is"""
+
 KNOWN_NAMES = frozenset(
     _HEIGHT
+    + _HEIGHT_FT
     + _LEVELS
     + _ROOF_LEVELS
     + _ROOF_HEIGHT
@@ -109,7 +119,7 @@ _FEET_INCHES = re.compile(
 _SEVERAL = re.compile(r"\s*[;|]\s*|\s*[-\u2013]\s*(?=[\d.])|\s+to\s+")
 _HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"')
 _HEIGHT_LIKE = re.compile(
-    r"height|hoehe|h\u00f6he|haut|altura|altezza|hoogte|roof|etage|floor|storey|stories|level"
+    r"height|hgt|hght|hoehe|h\u00f6he|haut|altura|altezza|hoogte|roof|etage|floor|storey|stories|level"
 )
 
 
@@ -244,6 +254,9 @@ def read_tags(attributes: Mapping[str, Any], field: HeightField | None = None) -
     kind, part = _text(attributes, _KIND), _text(attributes, _PART)
     is_part = part not in _NO
     height, misread = _first(attributes, _HEIGHT, parse_length_m)
+    if height is None:
+        height, feet = _first(attributes, _HEIGHT_FT, lambda value: parse_length_m(value, 0.3048))
+        misread |= feet
     if field is not None:
         named, misread_named = _first(
             attributes, (field.name,), lambda value: parse_length_m(value, field.unit_m)

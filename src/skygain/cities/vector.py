@@ -281,6 +281,8 @@ def _sound_lines(path: Path, skip_bad: bool) -> tuple[bytes, int]:
             f"line {first} is no JSON object ({bad} such lines); mend the file, or give `skip_bad` "
             "to leave such lines out"
         )
+    if not kept:
+        raise InputError("the file holds no feature at all; expected one on each line")
     return b"\n".join(kept) + b"\n", bad
 
 
