@@ -223,3 +223,15 @@ def test_points_in_polygons_agree_with_shapely(rng: np.random.Generator) -> None
     points = rng.uniform(-11, 11, (300, 2))
     ours = [Building(star, 5.0).covers(x, y) for x, y in points]
     assert ours == shapely.contains_xy(shapely.Polygon(star), points).tolist()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_heights_that_are_no_numbers_are_refused(value: float) -> None:
+    height = np.zeros((4, 4))
+    height[1, 2] = value
+    grid = Grid((4, 4), 4.0)
+    with pytest.raises(InputError, match="1 heights that are no finite numbers"):
+        City(grid, height)
+    for ground in (height, np.float32(value), np.full((4, 4), value)):
+        with pytest.raises(InputError, match="ground"):
+            City(grid, np.zeros((4, 4)), ground_m=ground)

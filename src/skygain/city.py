@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.grid import Grid
+from skygain.ground.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,11 @@ class City:
                 f"height_m has shape {height.shape}, but the grid has {self.grid.shape}; they must "
                 "agree"
             )
+        if not np.isfinite(height).all():
+            raise InputError(
+                f"{self.name!r} has {np.count_nonzero(~np.isfinite(height))} heights that are no "
+                "finite numbers; give 0 where the ground is open"
+            )
         height.flags.writeable = False
         object.__setattr__(self, "height_m", height)
         ground = np.asarray(self.ground_m, dtype=np.float32)
@@ -97,6 +103,11 @@ class City:
         else:
             ground = ground.copy()
             ground.flags.writeable = False
+        if not np.isfinite(ground).all():
+            raise InputError(
+                f"the ground of {self.name!r} has heights that are no finite numbers; give one "
+                "number where only that is known"
+            )
         object.__setattr__(self, "ground_m", ground)
 
     @cached_property

@@ -1,6 +1,7 @@
 """Links as arrays: windows turn with their transmitter, several data sets are one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,3 +66,20 @@ def test_what_cannot_be_read_is_named(tmp_path):
         load_links(tmp_path / "none.zarr.zip", "T1")
     with pytest.raises(InputError, match="no link of split 'T9'"):
         load_links(SAMPLE, "T9")
+
+
+def test_damaged_training_data_is_one_line(tmp_path: Path) -> None:
+    """Bytes turned anywhere, or the end cut off: read or refused, never anything else."""
+    raw, refused = SAMPLE.read_bytes(), 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        damaged = bytearray(raw)
+        for place in rng.integers(len(raw), size=int(rng.choice([1, 20]))):
+            damaged[place] = int(rng.integers(256))
+        end = len(raw) if seed % 5 else int(rng.integers(len(raw)))
+        (tmp_path / "x.zarr.zip").write_bytes(damaged[:end])
+        try:
+            load_links(tmp_path / "x.zarr.zip", "T1")
+        except InputError:
+            refused += 1
+    assert refused > 15

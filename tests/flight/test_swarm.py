@@ -179,3 +179,9 @@ def test_impossible_starts_are_refused(
 def test_impossible_deployments_are_refused(cells: list, steps: int, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Swarm.deployed(scenario([(1, 1)]), cells, steps)
+
+
+@pytest.mark.parametrize("metres", [float("nan"), float("inf"), -1.0])
+def test_a_distance_that_is_none_is_refused(metres: float) -> None:
+    with pytest.raises(InputError, match="min_distance_m"):
+        FlightRules(min_distance_m=metres)

@@ -92,3 +92,14 @@ def test_a_killed_writer_loses_nothing_and_leaves_the_lock_free(tmp_path: Path) 
         numbers = [record["k"] for record in journal.records]
     assert numbers == list(range(len(numbers)))
     assert len(numbers) > told
+
+
+def test_a_changed_digit_is_told(tmp_path: Path) -> None:
+    """A line that is still JSON, but not what was written."""
+    path = tmp_path / "j.jsonl"
+    with Journal(path, {}) as journal:
+        journal.append({"gain_db": [-91.5, 1e-300], "name": "Zürich"})
+    assert Journal(path, {}).records == [{"gain_db": [-91.5, 1e-300], "name": "Zürich"}]
+    path.write_text(path.read_text().replace("-91.5", "-90.5"))
+    with pytest.raises(InputError, match=r"line 2 of .* is damaged"):
+        Journal(path, {})

@@ -55,3 +55,11 @@ def test_a_stored_truth_keeps_its_carrier() -> None:
     assert asked.frequency_hz == left_out.scenario().frequency_hz == 5e9
     computed = PlaceRequest(city="7", propagation="gudmundson", frequency_hz=28e9, crop=20)
     assert open_world(computed).frequency_hz == 28e9
+
+
+def test_a_transmitter_in_other_coordinates_is_refused_before_anything_is_computed() -> None:
+    told: list[str] = []
+    asked = PlaceRequest(city="7", transmitter="500000,5400000")
+    with pytest.raises(InputError, match="off the map"):
+        open_world(asked, told=told.append)
+    assert told == ["reading the city"]

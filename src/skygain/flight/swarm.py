@@ -31,6 +31,10 @@ class FlightRules:
     return_to_start: bool = False
     """a UAV never flies so far that its remaining steps cannot bring it back to its first cell"""
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_distance_m < np.inf:
+            raise InputError(f"`min_distance_m` must be 0 m or more, got {self.min_distance_m}")
+
 
 @dataclass(frozen=True, eq=False)
 class Swarm:

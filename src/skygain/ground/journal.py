@@ -1,7 +1,8 @@
 """A file that grows line by line and survives any death of its writer.
 
 The first line says what the journal belongs to; each later line is one JSON record, on the disk
-before `Journal.append` returns. One process writes at a time.
+before `Journal.append` returns. Each carries a checksum, ``crc``, so that damage is told. One
+process writes at a time.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from skygain.ground.errors import InputError
 from skygain.ground.files import full_disk, unwritable
@@ -129,7 +131,7 @@ class Journal:
         self.close()
 
     def _write(self, record: Mapping[str, Any]) -> None:
-        line = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        line = (_text({**record, "crc": crc32(_text(record).encode())}) + "\n").encode()
         before = self._file.seek(0, os.SEEK_END)
         try:
             rest = memoryview(line)
@@ -151,10 +153,11 @@ class Journal:
         lines = []
         for number, line in enumerate(text[:whole].split(b"\n")[:-1], start=1):
             try:
-                lines.append(json.loads(line))
-                if not isinstance(lines[-1], dict):
+                record = json.loads(line)
+                if record.pop("crc") != crc32(_text(record).encode()):
                     raise ValueError
-            except ValueError:
+                lines.append(record)
+            except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
                 raise InputError(
                     f"line {number} of {self.path} is damaged; to begin anew, {self._anew}"
                 ) from None
@@ -173,3 +176,7 @@ class Journal:
             f"{self.path} belongs to other work: {', '.join(names)} changed; to begin anew, "
             f"{self._anew}"
         )
+
+
+def _text(record: Mapping[str, Any]) -> str:
+    return json.dumps(record, ensure_ascii=False, allow_nan=False)
