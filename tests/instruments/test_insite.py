@@ -35,7 +35,7 @@ def test_receivers_without_a_path_are_left_out(tmp_path):
     recording = read_recording(p2m(tmp_path / "power.t001_01.r002.p2m", "Power (dBm)", power))
     assert recording.quantity == "power"
     assert recording.level_db.tolist() == [-60.0, -70.5, -80.0, -90.0]
-    assert "2 of 6 receivers hear nothing" in recording.notes[0]
+    assert "2 of 6 receivers hear nothing" in recording.notes[1]
 
 
 def test_the_name_tells_what_the_comments_do_not(tmp_path):

@@ -201,7 +201,7 @@ def test_a_mark_for_no_value_is_left_out_and_told(csv_file, mark, told):
     recording = read_recording(csv_file("lat,lon,rsrp\n" + good + mark + "\n" + good))
     assert recording.line.tolist() == [2, 4]
     assert recording.skipped == 0
-    (note,) = recording.notes
+    _, note = recording.notes
     assert re.search(told, note)
     assert "line 3" in note
 

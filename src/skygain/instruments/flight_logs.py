@@ -23,6 +23,9 @@ from skygain.ground.errors import InputError, require
 from skygain.instruments.points import table_of
 from skygain.instruments.tables import Table, quoted_list
 
+_ENDLESS = re.compile(rb"\xa3\x95\x80.[\x00-\x02]", re.DOTALL)
+"""a description of a message of no length, at which a reader would stand still"""
+
 Message: TypeAlias = dict[str, NDArray]
 """the numeric fields of a message, each ``[n]``, and its ``time_s``"""
 
@@ -219,7 +222,11 @@ def _mavlink(path: Path) -> dict[str, Message]:
     rows: dict[str, list[tuple[float, dict[str, Any]]]] = {}
     try:
         with _quiet():
-            log = mavutil.mavlink_connection(str(path), robust_parsing=True, dialect="all")
+            log = (
+                _dataflash(path)
+                if path.suffix.lower() == ".bin"
+                else mavutil.mavlink_connection(str(path), robust_parsing=True, dialect="all")
+            )
             while (message := log.recv_match()) is not None:
                 kind = message.get_type()
                 if kind not in ("BAD_DATA", "FMT", "PARM", "FMTU", "MULT", "UNIT", "MSG"):
@@ -233,6 +240,25 @@ def _mavlink(path: Path) -> dict[str, Message]:
             "of MAVLink"
         )
     return {kind: _fields(found) for kind, found in rows.items()}
+
+
+def _dataflash(path: Path) -> Any:
+    """A reader of ArduPilot's logs that gives up where a damaged one would keep it for ever."""
+    from pymavlink.DFReader import DFReader_binary
+
+    with path.open("rb") as raw:
+        if _ENDLESS.search(raw.read(65536)):
+            raise ValueError("it describes a message without a length")
+
+    class Reader(DFReader_binary):  # type: ignore[misc, valid-type]
+        def _parse_next(self) -> Any:
+            before = self.offset
+            message = super()._parse_next()
+            if message is not None and self.offset <= before:
+                raise ValueError(f"no message at byte {before}")
+            return message
+
+    return Reader(str(path))
 
 
 def _fields(rows: list[tuple[float, dict[str, Any]]]) -> Message:

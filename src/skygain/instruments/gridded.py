@@ -37,6 +37,8 @@ _FAR = 10.0
 """a reading more than so many times the map's size away belongs to another place"""
 
 _SAMPLED = 20_000
+_MARGIN = 0.0002
+"""degrees around a map that is to hold city and readings"""
 _FEWEST_RASTER = 9
 _FEW = 50
 """strays are told from so many readings on"""
@@ -369,6 +371,13 @@ def _all_outside(recording: Recording, grid: Grid, far: int | None = None) -> st
     hint = (
         f"the map spans {south:.5f} to {north:.5f} and {west:.5f} to {east:.5f}: check the city "
         "(`city`) and the `box`, or leave them out"
+        + (
+            f"; a map of both has `box={min(west, lo[1]) - _MARGIN:.4f},"
+            f"{min(south, lo[0]) - _MARGIN:.4f},{max(east, hi[1]) + _MARGIN:.4f},"
+            f"{max(north, hi[0]) + _MARGIN:.4f}`"
+            if far is None and max(hi - lo) + max(east - west, north - south) < 0.1
+            else ""
+        )
     )
     both = min(west, lo[1]), min(south, lo[0]), max(east, hi[1]), max(north, hi[0])
     if far is None and both[2] - both[0] <= 9 * (east - west):

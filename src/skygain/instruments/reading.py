@@ -432,6 +432,9 @@ def _recording(
                 )
             lines.notes.append(f"times are not used: column {column!r} is not understood ({why})")
             del names["time"]
+    guessed = [f"{r} from {names[r]!r}" for r in names if r not in ask.columns]
+    if guessed:
+        lines.notes.insert(0, f"read as {values['kind']}: {', '.join(guessed)}")
     latlon, xy_m, crs = _placed(values, names, table, ask, lines.notes)
     if lines.skipped:
         lines.notes.append(
