@@ -94,7 +94,7 @@ def check_levels(
             f"which cannot be {_called(kind, column)}; name another column with "
             "`columns=level=NAME`"
         )
-    marks = ", ".join(f"{v:g} ({n} times)" for v, n in zip(values, count, strict=True))
+    marks = ", ".join(f"{v:.10g} ({n} times)" for v, n in zip(values, count, strict=True))
     return keep, [
         f"{count.sum()} of {len(level)} readings left out: level {marks} in column {column!r} is "
         f"no {what} but a mark for no value, first in line {first}"
