@@ -379,11 +379,6 @@ def _all_outside(recording: Recording, grid: Grid, far: int | None = None) -> st
             else ""
         )
     )
-    both = min(west, lo[1]), min(south, lo[0]), max(east, hi[1]), max(north, hi[0])
-    if far is None and both[2] - both[0] <= 9 * (east - west):
-        corners = f"{both[0] - 1e-4:.4f},{both[1] - 1e-4:.4f}"
-        corners += f",{both[2] + 1e-4:.4f},{both[3] + 1e-4:.4f}"
-        hint += f"; `box={corners}` is a map that holds both"
     if len(swapped) and _cells_of(grid.xy_m_at_latlon(swapped), grid)[1].any():
         hint = (
             "swapped, they lie on it: exchange the latitude and longitude columns "
