@@ -30,6 +30,7 @@ from skygain.reports.flown import Flown
 from skygain.reports.folder import FILES
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
+from skygain.survey.memory import demand_memory, in_words
 from skygain.survey.methods import MethodSpec
 from skygain.survey.origins import method_files
 from skygain.survey.requests import RecordingRequest
@@ -40,6 +41,8 @@ from skygain.survey.worlds import open_world
 if TYPE_CHECKING:
     from skygain.predictors.base import Predictor
 
+WORTH_TELLING = 1e9
+"""bytes of memory from which they are told before the flight"""
 JOURNAL = "flight.jsonl"
 """name of the file that keeps a flight while it is under way"""
 
@@ -176,6 +179,9 @@ def fly(
     recorder = Recorder(record, setting.truth_db, setting.ray_traced, keep_maps=True, on_step=told)
     config = SurveyConfig(stop_std_db=request.stop_std_db)
     survey = Survey(scenario, predictor, planner, setting.instrument, config)
+    needed = demand_memory(predictor, scenario, request.uavs * (request.steps + 1))
+    if needed > WORTH_TELLING:
+        progress.note(f"memory: up to {in_words(needed)}")
     rng = np.random.default_rng(planner_seed)
     tape = None if journal is None else FlightTape(journal, [rng, *setting.generators])
     progress.phase("flying")

@@ -12,6 +12,9 @@ from skygain.measurements import Measurements
 from skygain.posterior import Posterior
 from skygain.scenario import Scenario
 
+MAPS_BYTES = 200.0
+"""per cell, of the maps that any survey holds"""
+
 
 class Belief(ABC):
     """The state of a predictor in one survey. Immutable: `updated` returns a new belief and the old
@@ -46,3 +49,8 @@ class Predictor(ABC):
     @abstractmethod
     def begin(self, scenario: Scenario) -> Belief:
         """The belief before the first measurement."""
+
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """About what a survey takes at most that reads ``readings`` of a map's ``cells``; a method
+        that holds more than some maps says so."""
+        return MAPS_BYTES * cells

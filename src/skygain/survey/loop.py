@@ -22,6 +22,7 @@ from skygain.planners.base import Certificate, Plan, Planner
 from skygain.posterior import Posterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.scenario import Scenario
+from skygain.survey.memory import demand_memory
 from skygain.survey.tape import Tape
 
 if TYPE_CHECKING:
@@ -187,9 +188,11 @@ class Survey:
             tape: keeps plans and readings, so that the flight can go on after any death.
 
         Raises:
+            InputError: there is not enough memory for it.
             ValueError: the planner returned an illegal path.
         """
         tape = Tape() if tape is None else tape
+        demand_memory(self.predictor, self.scenario, int((swarm.steps_left + 1).sum()))
         belief, readings, record = self._measured(
             self.predictor.begin(self.scenario), Measurements.none(), swarm, tape, 0.0, 0, None
         )

@@ -92,6 +92,10 @@ class KrigingPredictor(Predictor):
             self, "transmitter", "required" if self.trend == "log-distance" else "unused"
         )
 
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """Each reading is tied to every cell, in single precision."""
+        return super().memory_bytes(cells, readings) + 4.0 * cells * readings
+
     def begin(self, scenario: Scenario) -> KrigingBelief:
         """The belief before the first measurement.
 

@@ -115,6 +115,12 @@ class OperatorPredictor(Predictor):
     """used when known, inferred when not"""
     _kept: OrderedDict = field(init=False, repr=False, compare=False, default_factory=OrderedDict)
 
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """Each reading is tied to every cell in a buffer that doubles when it is full; each
+        candidate has two maps, which are first computed in single precision."""
+        first = min(self.settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // cells))
+        return super().memory_bytes(cells, readings) + (12.0 * readings + 12.0 * first) * cells
+
     def begin(self, scenario: Scenario) -> OperatorBelief:
         """The belief before the first measurement; evaluates all first candidates unless this city
         was one of the last used."""
