@@ -30,6 +30,8 @@ __all__ = [
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from skygain.ground.kernel_cache import find_cache
+
 if TYPE_CHECKING:
     from skygain.app.fly import fly
     from skygain.app.requests import EvaluateRequest, SurveyRequest
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
     from skygain.survey.worlds import open_world
 
 __version__ = "0.1.0"
+
+find_cache()  # before any kernel is imported; it does nothing where the package can be written to
 
 _HOME = {
     "app.fly": ("fly",),

@@ -67,7 +67,8 @@ class Weights:
 def runs_folder() -> Path:
     """Where runs go unless told otherwise: ``$SKYGAIN_CACHE/runs``, by default
     ``~/.cache/skygain/runs``."""
-    return Path(os.environ.get("SKYGAIN_CACHE", Path.home() / ".cache" / "skygain")) / "runs"
+    cache = os.environ.get("SKYGAIN_CACHE") or os.path.expanduser("~/.cache/skygain")
+    return Path(cache) / "runs"
 
 
 def find_weights(name: str) -> Path:
