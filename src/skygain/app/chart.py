@@ -157,10 +157,11 @@ def _grid(recording: Recording, request: MapRequest) -> Grid:
 
 def _told(charts: list[RadioMap], threshold: float | None) -> list[str]:
     """What was assumed, and how good the maps are."""
-    lines = []
+    shared = [note for note in charts[0].notes if all(note in c.notes for c in charts)]
+    lines = [f"note: {note}" for note in shared]
     for c in charts:
         name = f"{c.label}: " if c.label else ""
-        lines += [f"note: {name}{note}" for note in c.notes]
+        lines += [f"note: {name}{note}" for note in c.notes if note not in shared]
     for c in charts:
         name = f"{c.label}: " if c.label else ""
         unit = "dBm" if c.gridded.quantity == "power" else "dB"

@@ -122,9 +122,28 @@ GUESSES: dict[str, tuple[str, ...]] = {
 ROLES = tuple(GUESSES)
 """what a column can be"""
 
-_SERIES = ("pci", "pc", "physical_cell_id", "physical_cell_identity", "cell_id", "cellid", "cell")
-_SERIES += ("ci", "eci", "nci", "cgi", "ecgi", "ncgi", "psc", "cellname", "cell_name", "mac")
-_SERIES += ("bssid", "ssid", "mac_address", "earfcn", "arfcn", "nrarfcn", "nr_arfcn", "uarfcn")
+_SERIES: tuple[str, ...] = (
+    "pci",
+    "pc",
+    "physical_cell_id",
+    "physical_cell_identity",
+    "cell_id",
+    "cellid",
+    "cell",
+)
+_SERIES += ("cellid", "cell", "ci", "eci", "nci", "cgi", "ecgi", "ncgi", "psc", "cellname")
+_SERIES += (
+    "cell_name",
+    "mac",
+    "bssid",
+    "ssid",
+    "mac_address",
+    "earfcn",
+    "arfcn",
+    "nrarfcn",
+    "nr_arfcn",
+    "uarfcn",
+)
 _UNIT = re.compile(r"_(dbm|db|m|metres|meters|deg|degrees|s|sec|seconds|ms|дбм|дб|м)$")
 
 

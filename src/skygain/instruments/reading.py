@@ -295,7 +295,7 @@ def _values(
 ) -> dict[str, Any]:
     """The checked values of each role, of the lines that remain."""
     header = table.header
-    found: dict[str, NDArray] = {}
+    found: dict[str, Any] = {}
 
     def parsed(role: str, parse: Any) -> NDArray[np.int8]:
         values, kind = parse(lines.columns[index[role]])
@@ -344,16 +344,16 @@ def _values(
         _keep(lines, found, keep)
     if not len(lines.line):
         raise InputError(_nothing_left(lines))
-    kind = ask.quantity or table.quantity or level_quantity(level_name)
+    quantity = ask.quantity or table.quantity or level_quantity(level_name)
     wild = np.abs(found["level"]) > 1e6
     keep, told = check_levels(
-        found["level"], kind, level_name, table.name, lines.line, ask.limits
+        found["level"], quantity, level_name, table.name, lines.line, ask.limits
     ) if not wild.all() else (~wild, [])  # fmt: skip
     if not keep.any():
         raise InputError(_nothing_left(lines) or f"{table.name} holds no level")
     lines.notes += told
     _keep(lines, found, keep)
-    found["kind"] = kind
+    found["kind"] = quantity
     if "altitude" in index:
         found["altitude"] = numbers(lines.columns[index["altitude"]])[0]
     return found

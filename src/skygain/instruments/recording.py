@@ -7,6 +7,7 @@ __all__ = ["FLOOR_STD_DB", "Recording", "joined"]
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,7 +95,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
                     f"against {b}); map them one by one"
                 )
 
-    def column(name: str) -> NDArray | None:
+    def column(name: str) -> Any:
         parts = [getattr(r, name) for r in recordings]
         return None if any(p is None for p in parts) else np.concatenate(parts)
 

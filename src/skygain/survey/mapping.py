@@ -135,7 +135,9 @@ def radio_map(
     """
     grid = gridded.grid
     scenario = Scenario(
-        city if city is not None else City(grid, np.zeros(grid.shape), name=gridded.source),
+        city
+        if city is not None
+        else City(grid, np.zeros(grid.shape, dtype=np.float32), name=gridded.source),
         uav_altitude_m=altitude_m,
         prediction_altitude_m=altitude_m,
         no_fly=None if area is None else ~area,
@@ -190,7 +192,7 @@ def _correlation(belief: object, grid: Grid) -> NDArray[np.float64]:
     """Correlation by distance in cells, from the belief's own field if it has one."""
     cells = np.arange(max(grid.shape))
     try:
-        values = np.asarray(belief.prior_covariance_db2(cells * grid.spacing_m), dtype=float)  # type: ignore[attr-defined]
+        values = np.asarray(belief.prior_covariance_db2(cells * grid.spacing_m), dtype=float)  # type: ignore[attr-defined, type-var]
     except (AttributeError, NotImplementedError, TypeError):
         return np.exp(-cells * grid.spacing_m / _REACH_M)
     return values / values[0] if values[0] > 0 else np.exp(-cells * grid.spacing_m / _REACH_M)
