@@ -12,6 +12,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     paper,
     planning,
     predictors,
+    rays,
     speed,
     unseen,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from skygain.city import City
 from skygain.ground.errors import InputError
 from skygain.propagation import sionna
 from skygain.propagation.diffraction import free_space_gain_db
+from skygain.propagation.launching.launch import Launching, launch_gain_db
 from skygain.propagation.sionna import GUARD_DB, trace_gain_db
 
 from .conftest import box, city_of, needs_rays
@@ -192,3 +195,24 @@ def test_roofs_are_kept_away_from_the_cells_by_less_than_a_storey() -> None:
 def test_unusable_settings_are_named(two_boxes: City, wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):
         trace_gain_db(two_boxes, TRANSMITTER, [10.0], **wrong)  # type: ignore[arg-type]
+
+
+def test_the_launcher_diffracts_as_much_at_each_edge(two_boxes: City) -> None:
+    """Where one edge gives most of the power, both programs agree on its sum."""
+    settings = Launching(max_reflections=0, diffraction=True)
+    ours = launch_gain_db(two_boxes, TRANSMITTER, [10.0], settings=settings).gain_db[0, 0]
+    lit = launch_gain_db(
+        two_boxes, TRANSMITTER, [10.0], settings=replace(settings, diffraction=False)
+    ).ray_reached[0, 0]
+    theirs = trace_gain_db(
+        two_boxes, TRANSMITTER, [10.0], samples=4_000_000, max_reflections=1
+    ).gain_db[0, 0]
+    reflected = launch_gain_db(
+        two_boxes, TRANSMITTER, [10.0], settings=Launching(max_reflections=1, diffraction=False)
+    ).ray_reached[0, 0]
+    dark = ~lit & ~reflected & ~two_boxes.obstructed(10.0) & np.isfinite(ours)
+    assert dark.sum() > 30
+    ratio = (10 ** (ours[dark] / 10)).sum() / (10 ** (theirs[dark] / 10)).sum()
+    assert 0.8 < ratio < 1.25
+    both = dark & np.isfinite(theirs)
+    assert np.median(np.abs(ours - theirs)[both]) < 1.0

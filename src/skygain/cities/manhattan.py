@@ -13,8 +13,15 @@ a matter of rounding.
 
 from __future__ import annotations
 
-__all__ = ["ManhattanConfig", "manhattan_city", "transmitter_sites"]
+__all__ = [
+    "ManhattanConfig",
+    "city_of_rectangles",
+    "manhattan_city",
+    "snapped",
+    "transmitter_sites",
+]
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -124,9 +131,22 @@ def manhattan_city(seed: int | np.random.Generator, config: ManhattanConfig | No
             raise InputError(f"a city seed is an integer of 0 or more, got {seed}")
         rng, name = np.random.default_rng([_STREAM, int(seed)]), f"manhattan-{int(seed)}"
     rectangles = _rectangles(rng, config)
-    count = int(config.extent_m // config.spacing_m)
-    first = (config.extent_m - (count - 1) * config.spacing_m) / 2
-    grid = Grid(shape=(count, count), spacing_m=config.spacing_m, origin_m=(first, first))
+    return city_of_rectangles(rectangles, config.extent_m, config.spacing_m, name)
+
+
+def city_of_rectangles(
+    rectangles: Sequence[tuple[float, float, float, float, float]],
+    extent_m: float,
+    spacing_m: float,
+    name: str,
+) -> City:
+    """A city of (west, south, east, north, height), with as many cells as fit its square.
+
+    A cell has the height of the building its centre lies in.
+    """
+    count = int(extent_m // spacing_m)
+    first = (extent_m - (count - 1) * spacing_m) / 2
+    grid = Grid(shape=(count, count), spacing_m=spacing_m, origin_m=(first, first))
     height = np.zeros(grid.shape, dtype=np.float32)
     for west, south, east, north, roof in rectangles:
         rows = slice(*np.searchsorted(grid.y_m, [south, north]))
@@ -184,7 +204,7 @@ def _rectangles(
                 continue
             x0, x1 = _building_span(rng, xs[i], xs[i + 1], config)
             y0, y1 = _building_span(rng, ys[j], ys[j + 1], config)
-            found.append((x0, y0, x1, y1, float(_snapped(rng.uniform(*config.height_range_m)))))
+            found.append((x0, y0, x1, y1, float(snapped(rng.uniform(*config.height_range_m)))))
     return found
 
 
@@ -194,7 +214,7 @@ def _block_spans(rng: np.random.Generator, config: ManhattanConfig) -> list[tupl
     edges = np.concatenate([[0.0], np.cumsum(weights / weights.sum()) * config.extent_m])
     half = config.street_width_m / 2
     return [
-        (float(_snapped(low + half)), float(_snapped(high - half))) for low, high in pairwise(edges)
+        (float(snapped(low + half)), float(snapped(high - half))) for low, high in pairwise(edges)
     ]
 
 
@@ -204,10 +224,10 @@ def _building_span(
     """Both ends of a building along one direction of the lot from ``low`` to ``high``."""
     width = (high - low) * rng.uniform(*config.building_share)
     start = low + (high - low - width) * rng.random()
-    return float(_snapped(start)), float(_snapped(start + width))
+    return float(snapped(start)), float(snapped(start + width))
 
 
-def _snapped(value: ArrayLike) -> NDArray[np.float64]:
+def snapped(value: ArrayLike) -> NDArray[np.float64]:
     """The nearest odd multiples of 1/8 m. It keeps order, so that what is disjoint stays
     disjoint."""
     return (np.floor(np.asarray(value) * 4) + 0.5) / 4

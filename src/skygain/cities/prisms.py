@@ -124,6 +124,7 @@ def prisms(
                 height_m=float(height),
                 base_m=float(base),
                 holes_m=tuple(rings[1:]),
+                material=tag.material,
             )
         )
     return tuple(found)

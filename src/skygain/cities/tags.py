@@ -73,6 +73,7 @@ _PLACE = ("location",)
 _UNDERGROUND = ("isunderground", "underground")
 _CELLARS = ("buildinglevelsunderground",)
 _ORDER = ("layer",)
+_MATERIAL = ("buildingmaterial", "material")
 _LAND = ("natural", "landuse", "leisure", "highway", "waterway")
 
 HEIGHT_NAMES = frozenset(_HEIGHT + _HEIGHT_FT + _LEVELS)
@@ -93,12 +94,23 @@ KNOWN_NAMES = frozenset(
     + _CELLARS
     + _ORDER
     + _LAND
+    + _MATERIAL
     + ("othertags", "alltags", "tags", "altitudemode", "extrude")
 )
 """plain names of all attributes that are looked at"""
 
 _UNKNOWN = (-1.0, -99.0, -999.0, -9999.0)
 """numbers that producers write where they know none"""
+
+_MATERIALS = {
+    **{name: name for name in ("concrete", "brick", "wood", "glass", "marble", "metal")},
+    **dict.fromkeys(("bricks", "sandstone", "mud", "adobe", "clay"), "brick"),
+    **dict.fromkeys(("timber", "timber_framing"), "wood"),
+    **dict.fromkeys(("stone", "limestone", "granite"), "marble"),
+    **dict.fromkeys(("steel", "tin", "copper"), "metal"),
+    "mirror": "glass",
+}
+"""class of ITU-R P.2040 of what OpenStreetMap calls a building's material"""
 
 _NO = {"", "no", "false", "0", "none", "nan"}
 
@@ -157,6 +169,9 @@ class BuildingTags:
     """whether the height comes from the number of levels"""
     misread: bool
     """whether a height or level is given that cannot be understood"""
+    material: str = "concrete"
+    """what its walls are of, by the classes of ITU-R P.2040: ``building:material``, concrete where
+    it is missing or has no class"""
     z_m: float | None = None
     """third coordinate of its highest corner, which may be above the ground or above the sea"""
 
@@ -286,6 +301,7 @@ def read_tags(attributes: Mapping[str, Any], field: HeightField | None = None) -
         base_m=base if base is not None else LEVEL_M * (base_level or 0.0),
         from_levels=from_levels,
         misread=misread or misread_levels or misread_base or misread_base_level,
+        material=_MATERIALS.get(_text(attributes, _MATERIAL), "concrete"),
         z_m=attributes.get("@z"),
     )
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.cities.manhattan import manhattan_city, transmitter_sites
+from skygain.cities.manhattan import transmitter_sites
 from skygain.city import City
 from skygain.datasets.layout import CityRecord
 from skygain.datasets.presets import DATA_VERSION, BuildConfig, preset_config
@@ -138,7 +138,7 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
 def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
     """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a
     worker."""
-    city = manhattan_city(seed, config.city)
+    city = config.drawn(seed)
     sites = transmitter_sites(city)
     if config.max_sites is not None:
         # the first of a shuffled list, so that fewer sites are a part of more sites
@@ -245,7 +245,8 @@ def _source_digest() -> str:
     """
     root = Path(skygain.__file__).parent
     digest = hashlib.sha256()
-    for file in [root / "cities" / "manhattan.py", *sorted((root / "propagation").rglob("*.py"))]:
+    generators = [root / "cities" / f"{kind}.py" for kind in ("european", "manhattan")]
+    for file in [*generators, *sorted((root / "propagation").rglob("*.py"))]:
         tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(body := getattr(node, "body", None), list):
@@ -262,7 +263,7 @@ def _source_digest() -> str:
 def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The data set's own account of where its numbers come from."""
     return {
-        "title": f"Manhattan cities, {config.name}",
+        "title": f"{'European' if config.kinds else 'Manhattan'} cities, {config.name}",
         "data_version": DATA_VERSION,
         "propagation": config.propagation,
         "extent_m": config.city.extent_m,

@@ -11,7 +11,9 @@ __all__ = ["DATA_VERSION", "PRESETS", "BuildConfig", "preset_config"]
 
 from dataclasses import dataclass, field
 
-from skygain.cities.manhattan import ManhattanConfig
+from skygain.cities.european import KINDS, european_city
+from skygain.cities.manhattan import ManhattanConfig, manhattan_city
+from skygain.city import City
 from skygain.datasets.layout import SPLITS
 from skygain.ground.errors import InputError
 
@@ -45,7 +47,9 @@ class BuildConfig:
     seed: int = 0
     """for the choice of transmitters; the cities have seeds of their own"""
     city: ManhattanConfig = field(default_factory=ManhattanConfig)
-    """how the cities are drawn"""
+    """how Manhattan cities are drawn"""
+    kinds: tuple[str, ...] = ()
+    """kinds of European towns, by name, that take turns instead of Manhattan cities"""
 
     def __post_init__(self) -> None:
         demands = {
@@ -60,10 +64,17 @@ class BuildConfig:
             and min(self.altitudes_m) > 0,
             "frequency_hz must be positive": self.frequency_hz > 0,
             "seed must be 0 or more": self.seed >= 0,
+            f"kinds must be among {', '.join(KINDS)}": set(self.kinds) <= set(KINDS),
         }
         for demand, met in demands.items():
             if not met:
                 raise InputError(f"{demand}; got {self}")
+
+    def drawn(self, seed: int) -> City:
+        """The city of a seed."""
+        if self.kinds:
+            return european_city(seed, KINDS[self.kinds[seed % len(self.kinds)]])
+        return manhattan_city(seed, self.city)
 
     @property
     def city_seeds(self) -> list[tuple[int, str]]:
@@ -86,6 +97,7 @@ PRESETS = {
         BuildConfig(
             name="more-altitudes", cities=(100, 0, 40, 0), max_sites=6, altitudes_m=(20.0, 30.0)
         ),
+        BuildConfig(name="more-kinds", cities=(150, 0, 0, 0), max_sites=6, kinds=tuple(KINDS)),
         BuildConfig(
             name="large",
             cities=(0, 6, 0, 6),
@@ -99,7 +111,9 @@ PRESETS = {
 """``paper`` is the evaluation protocol's data set, ``small`` serves to develop with, ``tiny`` to
 see that everything works; ``sample`` is what ships inside the package; ``more-cities`` are training
 cities to add to another data set (10 m only), ``more-altitudes`` has the first 100 of them and 40
-cities of T3 at 20 and 30 m; ``large`` has maps of 256 × 256 cells for swarms of many UAVs,
+cities of T3 at 20 and 30 m; ``more-kinds`` are 150 towns with European street patterns, centres,
+estates and suburbs in turn;
+``large`` has maps of 256 × 256 cells for swarms of many UAVs,
 Gudmundson fields over cities of 10 × 10 blocks, and is built in seconds"""
 
 

@@ -6,7 +6,7 @@ chosen, so each is tabulated over its cosine.
 
 from __future__ import annotations
 
-__all__ = ["GROUND_THICKNESS_M", "MATERIALS", "WALL_THICKNESS_M", "material_named", "slab_table"]
+__all__ = ["GROUND_THICKNESS_M", "MATERIALS", "WALL_THICKNESS_M", "slab_table"]
 
 from collections.abc import Sequence
 
@@ -36,30 +36,9 @@ WALL_THICKNESS_M = 0.3
 GROUND_THICKNESS_M = 1.0
 """thickness of the ground's slab, so thick that nothing comes back from below"""
 
-_TAGS = {
-    "cement_block": "concrete",
-    "stone": "marble",
-    "limestone": "marble",
-    "sandstone": "brick",
-    "mirror": "glass",
-    "steel": "metal",
-    "timber_framing": "wood",
-    "plaster": "concrete",
-    "mud": "brick",
-    "adobe": "brick",
-}
-"""values of OpenStreetMap's building:material that have another name here"""
-
 _EPSILON_0 = 8.8541878128e-12
 _STEPS = 4096
 """steps of the table over the cosine of the angle of incidence"""
-
-
-def material_named(name: str | None) -> str:
-    """The class for a value of OpenStreetMap's ``building:material``; concrete if unknown."""
-    key = (name or "").strip().lower()
-    key = _TAGS.get(key, key)
-    return key if key in MATERIALS else "concrete"
 
 
 def slab_table(
