@@ -23,9 +23,10 @@ from skygain.ground.registry import Registry
 PROPAGATION: Registry[NDArray[np.float32]] = Registry("propagation model")
 PROPAGATION.register("union", "skygain.propagation.truth:union")
 PROPAGATION.register("launch", "skygain.propagation.launching.launch:launch")
+PROPAGATION.register("launch-combined", "skygain.propagation.launching.launch:launch_combined")
 PROPAGATION.register("raytrace", "skygain.propagation.sionna:raytrace")
 PROPAGATION.register("over-rooftop", "skygain.propagation.diffraction:over_rooftop")
 PROPAGATION.register("gudmundson", "skygain.propagation.gudmundson:gudmundson")
 
-RAYS_ALONE = ("launch", "raytrace")
+RAYS_ALONE = ("launch", "launch-combined", "raytrace")
 """models that leave cells without a gain, so that no survey can use them"""

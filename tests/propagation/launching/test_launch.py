@@ -252,3 +252,34 @@ def test_a_horizontal_field_meets_the_ground_otherwise() -> None:
     )
     # near Brewster's angle the ground swallows the vertical field
     assert (horizontal - vertical)[14, 18] > 0.5
+
+
+def test_combined_paths_only_add() -> None:
+    """Reflections before or after a corner reach more cells and take nothing away."""
+    city = city_of(STREET)
+    alone, more = (
+        launch_gain_db(
+            city, (10.0, 10.0, 1.5), [10.0], settings=replace(QUICK, combined=c, fans=256)
+        ).gain_db[0, 0]
+        for c in (False, True)
+    )
+    outdoor = ~city.obstructed(10.0)
+    assert (more >= alone - 1e-4)[outdoor].all()
+    assert np.isfinite(more)[outdoor].sum() > np.isfinite(alone)[outdoor].sum()
+
+
+def test_a_corner_turns_the_ground_s_reflection_too() -> None:
+    """Behind a corner, with no wall to reflect, the ground's mirror image arrives beside the
+    direct path."""
+    city = city_of([box(40, 40, 120, 120, 60.0)])
+    high = replace(QUICK, combined=True, max_reflections=1)
+    behind = (slice(20, 29), slice(1, 8))
+    alone, more = (
+        launch_gain_db(city, (80.0, 20.0, 5.0), [5.0], settings=s).gain_db[0, 0][behind]
+        for s in (replace(high, combined=False), high)
+    )
+    reached = np.isfinite(alone)
+    assert reached.any()
+    added = (more - alone)[reached]
+    assert added.min() >= -1e-4
+    assert 0.05 < np.median(added) < 3.1

@@ -6,7 +6,7 @@ their order. So threads change when a share is done, never what comes out.
 
 from __future__ import annotations
 
-__all__ = ["MODEL_VERSION", "Launched", "Launching", "launch", "launch_gain_db"]
+__all__ = ["MODEL_VERSION", "Launched", "Launching", "launch", "launch_combined", "launch_gain_db"]
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +28,15 @@ from skygain.propagation.base import (
 )
 from skygain.propagation.launching.antenna import Antenna
 from skygain.propagation.launching.corners import diffract_edges, edge_windows, walled_cells
+from skygain.propagation.launching.fans import (
+    Corners,
+    empty_book,
+    fan_out,
+    new_book,
+    strengths,
+    vertical_corners,
+)
+from skygain.propagation.launching.following import MOST_REFLECTIONS
 from skygain.propagation.launching.geometry import Geometry, city_geometry
 from skygain.propagation.launching.materials import (
     GROUND_THICKNESS_M,
@@ -35,7 +44,7 @@ from skygain.propagation.launching.materials import (
     WALL_THICKNESS_M,
     slab_table,
 )
-from skygain.propagation.launching.rays import MOST_REFLECTIONS, launch_sector
+from skygain.propagation.launching.rays import launch_sector
 from skygain.propagation.launching.wedge import transition_table
 from skygain.propagation.mesh import city_buildings
 
@@ -69,6 +78,12 @@ class Launching:
     part"""
     ground: str = "concrete"
     """material of the ground"""
+    combined: bool = False
+    """whether paths reflect before and after a diffraction at a vertical corner"""
+    fans: int = 1024
+    """azimuths round a corner where paths are combined"""
+    weakest_db: float = 40.0
+    """arrivals weaker than this below the strongest of a corner are left out"""
     threads: int = 1
     """processor threads; the numbers do not depend on them"""
 
@@ -79,6 +94,7 @@ class Launching:
             "halvings": (0, 12),
             "compared_walls": (0, 8),
             "points": (1, 64),
+            "fans": (16, 2**20),
             "threads": (1, 1024),
         }
         for name, (least, most) in whole.items():
@@ -105,7 +121,10 @@ class Launching:
     def facts(self) -> dict[str, Any]:
         """What decides the numbers, for the attributes of a file."""
         facts = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "threads"}
-        return {"model": "launch", "model_version": MODEL_VERSION, **facts}
+        if not self.combined:
+            del facts["combined"], facts["fans"], facts["weakest_db"]
+        model = "launch-combined" if self.combined else "launch"
+        return {"model": model, "model_version": MODEL_VERSION, **facts}
 
 
 @dataclass(frozen=True)
@@ -131,6 +150,19 @@ def launch(
 ) -> NDArray[np.float32]:
     """The model ``launch``: the gain of `launch_gain_db`, -inf where no ray arrived."""
     settings = Launching(frequency_hz=float(frequency_hz))
+    return launch_gain_db(city, transmitters_m, altitudes_m, settings=settings).gain_db
+
+
+def launch_combined(
+    city: City,
+    transmitters_m: ArrayLike,
+    altitudes_m: Sequence[float],
+    *,
+    frequency_hz: float = 5e9,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """The model ``launch-combined``: as `launch`, with reflections before and after a corner."""
+    settings = Launching(frequency_hz=float(frequency_hz), combined=True)
     return launch_gain_db(city, transmitters_m, altitudes_m, settings=settings).gain_db
 
 
@@ -188,7 +220,15 @@ class _Launch:
 
     def power(self, transmitter: NDArray[np.float64], area_m2: float) -> NDArray[np.float64]:
         """``[altitude, row, col]`` mean of |E|² for a unit field at unit length."""
-        power = self._shared(lambda share, out: self._rays(share, transmitter, out)) / area_m2
+        corners = vertical_corners(self.geometry) if self.settings.combined else None
+        books = [new_book(corners) if corners else empty_book() for _ in range(_SHARES)]
+        power = self._shared(lambda share, out: self._rays(share, transmitter, books[share], out))
+        if corners is not None and self.settings.diffraction:
+            chosen = self._arrivals(books)
+            power += self._shared(
+                lambda share, out: self._fans(corners, books[share], chosen[share], out)
+            )
+        power /= area_m2
         if self.settings.diffraction and len(self.geometry.edges.length_m):
             edges = self.geometry.edges
             windows, found = edge_windows(
@@ -228,7 +268,55 @@ class _Launch:
                 total += out
         return total
 
-    def _rays(self, share: int, transmitter: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    def _arrivals(self, books: list[tuple[Any, ...]]) -> list[NDArray[np.int64]]:
+        """The arrivals of each share that are not much weaker than the best at their corner."""
+        antenna = (self.antenna.field, self.antenna.pattern)
+        ground = len(self.slabs) - 1
+        found = [strengths(b, self.altitudes[0], *antenna, self.slabs, ground) for b in books]
+        corner = [book[6][: len(power), 0] for book, power in zip(books, found, strict=True)]
+        best = np.zeros(1 + max((int(c.max()) for c in corner if len(c)), default=0))
+        for c, power in zip(corner, found, strict=True):
+            np.maximum.at(best, c, power)
+        share = 10 ** (-self.settings.weakest_db / 10)
+        return [
+            np.flatnonzero(power >= share * best[c]) for c, power in zip(corner, found, strict=True)
+        ]
+
+    def _fans(
+        self,
+        corners: Corners,
+        book: tuple[Any, ...],
+        chosen: NDArray[np.int64],
+        out: NDArray[np.float64],
+    ) -> None:
+        fan_out(
+            chosen,
+            book,
+            corners.span_m,
+            corners.faces,
+            corners.material,
+            self.settings.fans,
+            self.settings.max_reflections,
+            self.antenna.field,
+            self.antenna.pattern,
+            2 * np.pi / wavelength_m(self.settings.frequency_hz),
+            _transition(),
+            self.altitudes,
+            self.slabs,
+            len(self.slabs) - 1,
+            self._world,
+            self.city.grid.shape,
+            empty_book(),
+            out,
+        )
+
+    def _rays(
+        self,
+        share: int,
+        transmitter: NDArray[np.float64],
+        book: tuple[Any, ...],
+        out: NDArray[np.float64],
+    ) -> None:
         settings = self.settings
         total = settings.azimuths
         launch_sector(
@@ -246,6 +334,7 @@ class _Launch:
             len(self.slabs) - 1,
             self._world,
             self.city.grid.shape,
+            book,
             out,
         )
 

@@ -1,0 +1,212 @@
+"""Reflections before and after one diffraction at a vertical corner.
+
+The launch writes down every corner that one of its beams passes: by which walls it came, at which
+unfolded length, and which slopes are left. From each corner a fan of azimuths goes on with what
+reflections remain. A vertical edge keeps the slope of a ray, so the vertical planes of the launch
+carry on behind it; only the spreading and the field change.
+"""
+
+from __future__ import annotations
+
+__all__ = ["Corners", "empty_book", "fan_out", "new_book", "strengths", "vertical_corners"]
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.propagation.launching.following import (
+    MOST_REFLECTIONS,
+    begin,
+    bend_of,
+    follow,
+    new_scratch,
+    strength,
+)
+from skygain.propagation.launching.geometry import Geometry
+from skygain.propagation.launching.pieces import MOST, inside
+
+_BESIDE_M = 1.0
+"""a corner is looked for in every cell that comes this near to it: a beam is never half as wide"""
+_ROOM = 200_000
+"""most arrivals at corners of one share of the work"""
+
+
+@dataclass(frozen=True)
+class Corners:
+    """The vertical edges of a city, by cell of the index."""
+
+    first: NDArray[np.int64]
+    """``[cell + 1]`` where the corners of each index cell begin in ``listed``"""
+    listed: NDArray[np.int64]
+    """corners, cell by cell"""
+    xy_m: NDArray[np.float64]
+    """``[corner, (x, y)]``"""
+    wall_ends: NDArray[np.int64]
+    """``[wall, 2]`` the corners at both ends of each wall, -1 where there is none"""
+    span_m: NDArray[np.float64]
+    """``[corner, (low, top)]``"""
+    faces: NDArray[np.float64]
+    """``[corner, 2, (x, y, z)]`` normals of the faces"""
+    material: NDArray[np.int64]
+    """``[corner]``"""
+
+
+def vertical_corners(geometry: Geometry) -> Corners:
+    """The vertical edges among the geometry's."""
+    edges = geometry.edges
+    chosen = np.flatnonzero(edges.along[:, 2] == 1) if len(edges.along) else np.zeros(0, np.int64)
+    origin = edges.origin_m[chosen]
+    rows, cols = geometry.tallest_m.shape
+    frame = geometry.frame
+    cells: list[NDArray[np.int64]] = []
+    for dx in (-_BESIDE_M, _BESIDE_M):
+        for dy in (-_BESIDE_M, _BESIDE_M):
+            col = np.floor((origin[:, 0] + dx - frame[0]) / frame[2]).astype(np.int64)
+            row = np.floor((origin[:, 1] + dy - frame[1]) / frame[2]).astype(np.int64)
+            cells.append(np.clip(row, 0, rows - 1) * cols + np.clip(col, 0, cols - 1))
+    pairs = np.unique(np.c_[np.concatenate(cells), np.tile(np.arange(len(origin)), 4)], axis=0)
+    first = np.zeros(rows * cols + 1, dtype=np.int64)
+    np.add.at(first, pairs[:, 0] + 1, 1)
+    place = {(round(x, 5), round(y, 5)): i for i, (x, y) in enumerate(origin[:, :2].tolist())}
+    ends = [
+        [place.get((round(x, 5), round(y, 5)), -1) for x, y in (wall[:2], wall[2:4])]
+        for wall in geometry.walls.tolist()
+    ]
+    return Corners(
+        first=np.cumsum(first),
+        listed=np.ascontiguousarray(pairs[:, 1]),
+        xy_m=np.ascontiguousarray(origin[:, :2]),
+        wall_ends=np.array(ends, dtype=np.int64).reshape(-1, 2),
+        span_m=np.c_[origin[:, 2], origin[:, 2] + edges.length_m[chosen]],
+        faces=np.ascontiguousarray(edges.normals[chosen]),
+        material=edges.material[chosen],
+    )
+
+
+def new_book(corners: Corners) -> tuple[Any, ...]:
+    """Where `follow` writes down the corners it passes."""
+    return (
+        True,
+        corners.first,
+        corners.listed,
+        corners.xy_m,
+        corners.wall_ends,
+        np.zeros(1, dtype=np.int64),
+        np.empty((_ROOM, 4), dtype=np.int64),
+        np.empty((_ROOM, 6)),
+        np.empty((_ROOM, MOST_REFLECTIONS, 3)),
+        np.empty((_ROOM, MOST_REFLECTIONS + 1), dtype=np.int64),
+        np.empty((_ROOM, MOST, 2)),
+    )
+
+
+def empty_book() -> tuple[Any, ...]:
+    """A book in which nothing is written."""
+    none = np.zeros(0, dtype=np.int64)
+    return (
+        False,
+        none,
+        none,
+        np.zeros((0, 2)),
+        np.zeros((0, 2), dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+        np.zeros((0, 4), dtype=np.int64),
+        np.zeros((0, 6)),
+        np.zeros((0, MOST_REFLECTIONS, 3)),
+        np.zeros((0, MOST_REFLECTIONS + 1), dtype=np.int64),
+        np.zeros((0, MOST, 2)),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def strengths(book, altitude, field, pattern, table, ground):
+    """|E|² at the corner of every arrival, spreading included, at the slope of one altitude."""
+    count, numbers, lengths, met, kinds, _slopes = book[5:]
+    alone = bend_of(-1, np.zeros((2, 3)), np.zeros(4), 0.0, np.zeros(2, dtype=np.complex128))
+    found = np.zeros(count[0])
+    for k in range(count[0]):
+        s, z, azimuth = lengths[k, 0], lengths[k, 1], lengths[k, 5]
+        physics = (field, pattern, azimuth, table, ground)
+        found[k] = strength(
+            max(s, 0.1), altitude - z, met[k], kinds[k], numbers[k, 1], physics, alone
+        )
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def fan_out(
+    chosen,
+    book,
+    span,
+    faces_of,
+    material_of,
+    fans,
+    most,
+    field,
+    pattern,
+    wave_number,
+    transition,
+    altitudes,
+    table,
+    ground,
+    world,
+    shape,
+    closed_book,
+    out,
+):
+    """Send a fan of ``fans`` azimuths from the corner of each chosen arrival."""
+    xy = book[3]
+    _count, numbers_of, lengths_of, met_of, kinds_of, slopes_of = book[5:]
+    scratch = new_scratch(len(altitudes))
+    place, slopes, counts, met, kinds, _entered, _entered_s, _lanes, _numbers = scratch
+    width = 2.0 * math.pi / fans
+    plan = np.empty(4)
+    left = np.empty((MOST, 2))
+    for arrival in chosen:
+        corner, w = numbers_of[arrival, 0], numbers_of[arrival, 1]
+        n, roofed = numbers_of[arrival, 2], numbers_of[arrival, 3]
+        s, z = lengths_of[arrival, 0], lengths_of[arrival, 1]
+        faces = faces_of[corner]
+        plan[0], plan[1] = lengths_of[arrival, 3], lengths_of[arrival, 4]
+        in0 = plan[0] * faces[0, 0] + plan[1] * faces[0, 1]
+        in1 = plan[0] * faces[1, 0] + plan[1] * faces[1, 1]
+        if s < 0.1 or (in0 >= -1e-6 and in1 >= -1e-6):
+            continue
+        low, top = span[corner, 0], span[corner, 1]
+        m = inside(slopes_of[arrival], n, (low - z) / s, (top - z) / s, left, 0)
+        if roofed == 0:
+            m = inside(slopes_of[arrival], n, -(top + z) / s, -(low + z) / s, left, m)
+        if m == 0:
+            continue
+        bend = bend_of(w, faces, plan, wave_number, transition)
+        physics = (field, pattern, lengths_of[arrival, 5], table, ground)
+        for number in range(fans):
+            azimuth = (number + 0.5) * width
+            ox, oy = math.cos(azimuth), math.sin(azimuth)
+            out0 = ox * faces[0, 0] + oy * faces[0, 1]
+            out1 = ox * faces[1, 0] + oy * faces[1, 1]
+            if out0 <= 1e-9 and out1 <= 1e-9:
+                continue
+            plan[2], plan[3] = ox, oy
+            begin(scratch, xy[corner, 0], xy[corner, 1], z, azimuth)
+            place[0, 4], place[0, 6], place[0, 7] = s, 1e-3, lengths_of[arrival, 2]
+            for i in range(m):
+                slopes[0, i, 0], slopes[0, i, 1] = left[i, 0], left[i, 1]
+            counts[0, 0], counts[0, 1], counts[0, 2] = m, w + 1, roofed
+            for i in range(w):
+                met[0, i, 0], met[0, i, 1], met[0, i, 2] = (
+                    met_of[arrival, i, 0],
+                    met_of[arrival, i, 1],
+                    met_of[arrival, i, 2],
+                )
+            met[0, w, 0], met[0, w, 1], met[0, w, 2] = s, 0.0, 0.0
+            for i in range(w + 1):
+                kinds[0, i] = kinds_of[arrival, i]
+            kinds[0, w + 1] = material_of[corner]
+            follow(
+                width, most + 1, physics, altitudes, world, scratch, shape, bend, closed_book, out
+            )
