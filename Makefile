@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-com
 .PHONY: demo test robustness lint types docs check clean
 
 demo: .venv/demo.stamp
-	$(BIN)/skygain survey --city sample:9 --predictor kriging --planner sequential-greedy --steps 200 --out surveys/demo --overwrite
+	$(BIN)/skygain survey --city sample:9 --out surveys/demo --overwrite
 	@echo "Open surveys/demo/report.html in a browser."
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then $(BIN)/python -m webbrowser -t "file://$(CURDIR)/surveys/demo/report.html"; fi
 

@@ -45,7 +45,7 @@ UNIT = re.compile(r"\b(dB|ms|s|seconds|MiB)\b")
 
 def pages() -> list[Path]:
     """Every page whose tables are checked."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def triple(values: list[float]) -> str:

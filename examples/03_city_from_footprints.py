@@ -3,7 +3,6 @@ that stops when sure enough."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +17,9 @@ from skygain.propagation import PROPAGATION
 from skygain.scenario import Scenario
 from skygain.survey.loop import Survey, SurveyConfig
 
-
-def block(x: float, y: float, height: float) -> dict:
-    """A square building of 40 m as a GeoJSON feature."""
-    ring = [[x, y], [x + 40, y], [x + 40, y + 40], [x, y + 40], [x, y]]
-    return {
-        "type": "Feature",
-        "properties": {"height": height},
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-    }
-
-
-features = [block(x, y, 15.0 + (x + y) % 23) for x in (0, 60, 120, 180) for y in (0, 60, 120, 180)]
-Path("blocks.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
-
-city = open_city("blocks.geojson", spacing_m=4.0, crs="local")
-transmitter = (50.0, 110.0, 1.5)
+city = open_city(Path(__file__).parent / "data" / "buildings.geojson", spacing_m=4.0)
+west, south, _, _ = city.grid.bounds_m
+transmitter = (west + 50.0, south + 100.0, 1.5)
 truth = PROPAGATION.create(
     "over-rooftop", city=city, transmitters_m=[transmitter], altitudes_m=[10.0]
 )[0, 0]

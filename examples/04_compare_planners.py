@@ -3,6 +3,7 @@ interval."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 from skygain.evaluation.comparison import compare
@@ -10,7 +11,7 @@ from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.statistics import bootstrap_mean
 
 
-def main() -> None:
+def main(out: Path) -> None:
     request = EvaluateRequest(
         predictors=("kriging",),
         planners=("random-waypoint", "lawnmower"),
@@ -18,7 +19,7 @@ def main() -> None:
         steps=60,
         record_every=20,
         workers=1,
-        out=Path("comparison"),
+        out=out,
     )
     comparison = compare(request)
     random, lawnmower = (comparison.scores[method.label]["rmse_db"] for method in request.pairs)
@@ -30,4 +31,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":  # worker processes import this file again
-    main()
+    with tempfile.TemporaryDirectory() as folder:
+        main(Path(folder))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import DoctorRequest
+from skygain.ground.errors import install_command
 
 OLDEST_PYTHON = (3, 11)
 
@@ -130,7 +131,7 @@ def _core() -> Check:
             "core packages",
             "broken",
             f"{detail}; missing: {', '.join(missing)}",
-            "pip install skygain",
+            install_command(),
         )
     return Check("core packages", "ok", detail)
 
@@ -145,7 +146,7 @@ def _extra(extra: str) -> Check:
     if missing:
         if len(missing) < len(found):
             detail += f"; missing: {', '.join(missing)}"
-        return Check(f"extra {extra}", "missing", detail, f"pip install 'skygain[{extra}]'")
+        return Check(f"extra {extra}", "missing", detail, install_command(extra))
     return Check(f"extra {extra}", "ok", detail)
 
 
@@ -196,12 +197,12 @@ def _processor() -> str:
 
 
 def _llvm() -> Check:
-    from skygain.ground.llvm import LLVM_REMEDY, OLDEST_LLVM, find_llvm
+    from skygain.ground.llvm import OLDEST_LLVM, find_llvm, llvm_remedy
 
     found = find_llvm()
     if found is None:
         return Check(
-            "LLVM", "missing", "none found; needed to trace rays on a processor", LLVM_REMEDY
+            "LLVM", "missing", "none found; needed to trace rays on a processor", llvm_remedy()
         )
     detail = f"{found.path} (from the {found.source})"
     if not found.path.is_file():
@@ -209,14 +210,14 @@ def _llvm() -> Check:
             "LLVM",
             "broken",
             f"{detail} is not a file",
-            f"unset DRJIT_LIBLLVM_PATH, or {LLVM_REMEDY}",
+            f"unset DRJIT_LIBLLVM_PATH, or {llvm_remedy()}",
         )
     if found.release is not None and found.release < OLDEST_LLVM:
         return Check(
             "LLVM",
             "broken",
             f"{detail} is release {found.release}, older than {OLDEST_LLVM}",
-            LLVM_REMEDY,
+            llvm_remedy(),
         )
     return Check("LLVM", "ok", detail)
 
@@ -232,7 +233,7 @@ def _sionna() -> Check:
             "Sionna RT",
             "missing",
             "not installed; needed to trace rays",
-            "pip install 'skygain[raytrace]'",
+            install_command("raytrace"),
         )
     except InputError as error:
         return Check("Sionna RT", "broken", str(error), "pip install --upgrade 'sionna-rt>=2.1.0'")
@@ -241,7 +242,7 @@ def _sionna() -> Check:
 
 def _traced() -> list[Check]:
     """Trace in a child process and judge the numbers."""
-    remedy = "install the tested releases: pip install 'skygain[raytrace]' -c constraints.txt"
+    remedy = f"install the tested releases: {install_command('raytrace')} -c constraints.txt"
     try:
         child = subprocess.run(
             [sys.executable, "-c", _CHILD],

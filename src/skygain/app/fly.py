@@ -4,6 +4,8 @@ from __future__ import annotations
 
 __all__ = ["fly", "run_survey"]
 
+import json
+import shutil
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 import skygain
 from skygain.app.progress import SILENT, Progress
-from skygain.app.requests import SurveyRequest
+from skygain.app.requests import LATEST, SurveyRequest
 from skygain.app.signals import told_of_signals
 from skygain.evaluation.rollout import Recorder
 from skygain.flight.starts import start_cells
@@ -86,6 +88,7 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
             except InputError as error:
                 if journal.records:
                     raise InputError(f"{error}; the flight is kept, go on with: {go_on}") from error
+                (out / JOURNAL).unlink()  # nothing was flown, so there is nothing to go on with
                 raise
         if outcome.result.stopped == "interrupted":
             notes = [*notes, f"the rest can be flown with: {go_on}"]
@@ -99,7 +102,7 @@ def _check_folder(request: SurveyRequest) -> None:
     out = request.out
     if request.overwrite:
         return
-    if (out / "results.json").exists():
+    if (out / "results.json").exists() and not (out == LATEST and _whole(out)):
         raise InputError(
             f"{out} already holds the results of a survey; give another `out`, or "
             "`overwrite=True` to replace them"
@@ -110,11 +113,20 @@ def _check_folder(request: SurveyRequest) -> None:
             "`overwrite=True` begins anew"
         )
     for name in FILES:
-        if (out / name).exists():
+        if (out / name).exists() and not (out / "results.json").exists():
             raise InputError(
                 f"{out / name} is there already and no survey wrote it; give another `out`, or "
                 "`overwrite=True` to replace it"
             )
+
+
+def _whole(folder: Path) -> bool:
+    """Whether a survey wrote the results in ``folder``."""
+    try:
+        results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(results, dict) and {"config", "scores_over_steps"} <= results.keys()
 
 
 def _journal(request: SurveyRequest) -> Journal:
@@ -149,7 +161,7 @@ def fly(
         InputError: anything about the request that the user can put right.
     """
     progress.phase("loading the method")
-    method = MethodSpec(request.predictor, request.planner)
+    method = _method(request)
     predictor, planner = method.build_predictor(), method.build_planner()
     setting_seed, start_seed, planner_seed = np.random.SeedSequence(request.seed).spawn(3)
     setting = (
@@ -164,7 +176,7 @@ def fly(
     for line in notes:
         progress.note(f"  {line}")
     scenario = method.visible(whole, predictor)
-    _need_transmitter(scenario, predictor, request)
+    _need_transmitter(scenario, predictor, method)
     cells = start_cells(request.start, scenario, request.uavs, np.random.default_rng(start_seed))
     swarm = Swarm.deployed(scenario, cells, request.steps, request.rules)
 
@@ -193,12 +205,19 @@ def fly(
         recorder.frames,
         setting.truth_db,
         title=f"{setting.title}: {method.label}, {request.uavs} UAVs",
-        config=_resolved(request),
+        config=_resolved(request, method),
         true_transmitter_m=setting.transmitter_m,
         level_label=setting.level_label,
         notes=notes,
         source=setting.source,
     )
+
+
+def _method(request: SurveyRequest) -> MethodSpec:
+    """What is asked for. The operator learned the gain of simulated cities; Kriging assumes least
+    of a recording."""
+    best = "kriging-blind" if request.replay else "operator"
+    return MethodSpec(best if request.predictor == "auto" else request.predictor, request.planner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,18 +313,21 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     )
 
 
-def _need_transmitter(scenario: Scenario, predictor: Predictor, request: SurveyRequest) -> None:
+def _need_transmitter(scenario: Scenario, predictor: Predictor, method: MethodSpec) -> None:
     if predictor.transmitter == "required" and scenario.transmitter_m is None:
         raise InputError(
-            f"predictor {request.predictor!r} must be told where the transmitter is; give "
+            f"predictor {method.predictor!r} must be told where the transmitter is; give "
             "`transmitter`, or choose one that does without, such as kriging-blind"
         )
 
 
-def _resolved(request: SurveyRequest) -> dict[str, Any]:
+def _resolved(request: SurveyRequest, method: MethodSpec) -> dict[str, Any]:
     """The request and what produced it: version and, in a checkout, the commit."""
     here = Path(__file__).parent
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False
-    ).stdout.strip()
-    return request.stored() | {"skygain": skygain.__version__, "commit": commit or None}
+    commit = ""
+    if shutil.which("git"):
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False
+        ).stdout.strip()
+    made_by = {"skygain": skygain.__version__, "commit": commit or None}
+    return request.stored() | {"predictor": method.predictor} | made_by

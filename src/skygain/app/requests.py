@@ -16,6 +16,7 @@ __all__ = [
     "EvaluateRequest",
     "ExportOnnxRequest",
     "InspectRequest",
+    "LATEST",
     "MapRequest",
     "MethodsRequest",
     "SurveyRequest",
@@ -41,13 +42,16 @@ from skygain.survey.requests import (
     TerritoryRequest,
 )
 
+LATEST = Path("surveys/latest")
+"""where results go unless told otherwise"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OutputRequest(Request):
     """Output"""
 
-    out: Path = named(Path("surveys/latest"), stored=False)
-    """folder for the results"""
+    out: Path = named(LATEST, stored=False)
+    """folder for the results; a survey in surveys/latest is replaced by the next"""
     overwrite: bool = named(False, stored=False)
     """replace results that the folder already holds"""
     resume: Path | None = named(None, stored=False)
@@ -68,9 +72,10 @@ class SurveyRequest(
     """Fly one survey and write maps, tables, pictures and a report.
 
     Examples:
-        skygain survey --city sample:9 --planner sequential-greedy
+        skygain survey --city sample:9
         skygain survey --city buildings.geojson --uavs 5 --noise-db 2 --stop-std 6
-        skygain survey --replay campaign.csv --where device=Samsung --predictor kriging-blind
+        skygain survey --city sample:9 --predictor kriging --planner lawnmower
+        skygain survey --replay campaign.csv --where pci=101
         skygain survey --config surveys/latest/results.json --seed 1 --out surveys/again
         skygain survey --resume surveys/latest
     """

@@ -12,11 +12,13 @@ A parameter stands in backticks, with its value where one is advised: "give anot
 
 from __future__ import annotations
 
-__all__ = ["InputError", "MissingExtraError", "did_you_mean", "require"]
+__all__ = ["InputError", "MissingExtraError", "did_you_mean", "install_command", "require"]
 
 import difflib
 import importlib
+import sysconfig
 from collections.abc import Iterable
+from pathlib import Path
 from types import ModuleType
 
 
@@ -39,6 +41,22 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return (f"did you mean {close[0]!r}? " if close else "") + f"known: {', '.join(known)}"
 
 
+def install_command(extra: str = "") -> str:
+    """How to install Skygain with an ``extra`` the way it was installed: from the checkout that
+    this code runs from, or as a released package."""
+    root = Path(__file__).resolve().parents[3]
+    if not (root / "pyproject.toml").is_file():
+        return f"pip install 'skygain[{extra}]'" if extra else "pip install skygain"
+    scripts = Path(sysconfig.get_path("scripts"))
+    pip = scripts / "pip" if root in scripts.parents else Path("pip")
+    target = root / "packages" / "paper-weights" if extra == "paper" else root
+    if Path.cwd() == root:
+        pip = pip.relative_to(root) if root in pip.parents else pip
+        target = target.relative_to(root)
+    brackets = f"[{extra}]" if extra not in ("", "paper") else ""
+    return f"{pip} install -e " + (f"'{target}{brackets}'" if brackets else f"{target}")
+
+
 def require(module: str, extra: str) -> ModuleType:
     """Import an optional ``module``, or say which extra of Skygain installs it.
 
@@ -50,5 +68,5 @@ def require(module: str, extra: str) -> ModuleType:
     except ImportError as error:
         raise MissingExtraError(
             f"this needs the package {module.split('.')[0]!r}, which is not installed ({error}); "
-            f"install it with: pip install 'skygain[{extra}]'"
+            f"install it with: {install_command(extra)}"
         ) from error

@@ -19,7 +19,7 @@ importing Matplotlib then ends the process.
 
 from __future__ import annotations
 
-__all__ = ["LLVM", "LLVM_REMEDY", "OLDEST_LLVM", "activate", "check_loaded", "find_llvm"]
+__all__ = ["LLVM", "OLDEST_LLVM", "activate", "check_loaded", "find_llvm", "llvm_remedy"]
 
 import ctypes
 import importlib.metadata
@@ -28,16 +28,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from skygain.ground.errors import InputError
+from skygain.ground.errors import InputError, install_command
 
 OLDEST_LLVM = 17
 """first LLVM release that can compile the ray tracer's kernels"""
-
-LLVM_REMEDY = (
-    "pip install 'skygain[raytrace]' (brings the wheel karellen-llvm-core), or on Debian: apt-get "
-    "install libllvm19"
-)
-"""how to get a libLLVM, for messages"""
 
 _WHEEL = "karellen-llvm-core"
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -49,6 +43,14 @@ _SYSTEM_FOLDERS = (
     "/usr/local/lib",
     "/opt/homebrew/opt/llvm/lib",
 )
+
+
+def llvm_remedy() -> str:
+    """How to get a libLLVM, for messages."""
+    return (
+        f"{install_command('raytrace')} (brings the wheel karellen-llvm-core), or on Debian: "
+        "apt-get install libllvm19"
+    )
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def activate() -> LLVM | None:
     if found.source == "environment" and not found.path.is_file():
         raise InputError(
             f"{_VARIABLE} names {found.path}, which is not a file; correct or unset it, or "
-            f"{LLVM_REMEDY}"
+            f"{llvm_remedy()}"
         )
     try:
         for library in found.needs:
@@ -111,7 +113,7 @@ def check_loaded(release: tuple[int, ...]) -> None:
     if release[0] < OLDEST_LLVM:
         raise InputError(
             f"ray tracing needs LLVM {OLDEST_LLVM} or newer, and Dr.Jit has loaded "
-            f"{'.'.join(map(str, release))}; {LLVM_REMEDY} "
+            f"{'.'.join(map(str, release))}; {llvm_remedy()} "
             "(if that is done already: import skygain's ray tracer before mitsuba or drjit)"
         )
 

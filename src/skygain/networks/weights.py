@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.ground.errors import InputError
+from skygain.ground.errors import InputError, install_command
 from skygain.ground.files import atomic_write
 from skygain.networks.quantised import dequantised, quantised
 
@@ -87,19 +87,13 @@ def find_weights(name: str) -> Path:
     if distribution:
         raise InputError(
             f"the weights {name!r} come in a package of their own, which is not installed; "
-            f"bring them with: {_command(distribution)}"
+            f"bring them with: {install_command('paper')}"
         )
     raise InputError(
         f"the weights {name!r} do not ship with this version and were not trained here; make them "
         "with: "
         f"skygain train predictor --recipe {name} (a data set is needed: skygain dataset --help)"
     )
-
-
-def _command(distribution: str) -> str:
-    """How to install ``distribution``: from the checkout that this code runs from, or by pip."""
-    folder = Path(__file__).parents[3] / "packages" / distribution.removeprefix("skygain-")
-    return f"pip install {folder if folder.is_dir() else distribution}"
 
 
 def weight_file(name: str | Path) -> Path:

@@ -235,7 +235,7 @@ def load_backend() -> ModuleType:
         except ImportError as error:
             raise InputError(
                 f"ray tracing needs an LLVM library of release {llvm.OLDEST_LLVM} or newer and "
-                f"found none; {llvm.LLVM_REMEDY}"
+                f"found none; {llvm.llvm_remedy()}"
             ) from error
     if mitsuba.variant().startswith("llvm"):
         llvm.check_loaded(importlib.import_module("drjit.detail").llvm_version())

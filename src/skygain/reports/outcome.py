@@ -89,10 +89,11 @@ class Outcome:
 
     @property
     def summary(self) -> str:
-        """How it ended, how good the map is and how long deciding took, in three lines."""
+        """How it ended, what the predictor was told, how good the map is and how long deciding
+        took: a line each."""
         ended, *took = repr(self.result).splitlines()
         scores = {name: values[-1] for name, values in self.scores.items()}
-        lines = [ended]
+        lines = [ended, self.told]
         if np.isfinite(scores.get("rmse_db", np.nan)):
             lines.append(
                 f"RMSE {scores['rmse_db']:.2f} dB on unvisited cells "
@@ -102,6 +103,18 @@ class Outcome:
         elif "mean_std_db" in scores:
             lines.append(f"mean predicted standard deviation {scores['mean_std_db']:.2f} dB")
         return "\n".join([*lines, *took])
+
+    @property
+    def told(self) -> str:
+        """What the predictor knew before the first reading."""
+        buildings = bool((self.scenario.city.height_m > 0).any())
+        if self.scenario.transmitter_m is not None:
+            knew = "the buildings and the transmitter" if buildings else "the transmitter"
+        elif buildings:
+            knew = "the buildings, not where the transmitter is"
+        else:
+            knew = "neither buildings nor where the transmitter is"
+        return f"the predictor was told {knew}"
 
     @property
     def scenario(self) -> Scenario:

@@ -157,10 +157,10 @@ class FlightRequest(Request):
 class MethodRequest(Request):
     """Method (see: skygain methods)"""
 
-    predictor: str = named("kriging", names="skygain.predictors:PREDICTORS")
-    """name, options as name:key=value, +tx to tell it the transmitter; module:Class for one's
-    own"""
-    planner: str = named("greedy-variance", names="skygain.planners:PLANNERS")
+    predictor: str = named("auto", names="skygain.predictors:PREDICTORS")
+    """name, options as name:key=value, +tx to tell it the transmitter; module:Class for one's own;
+    auto takes operator, for a recording kriging-blind"""
+    planner: str = named("sequential-greedy", names="skygain.planners:PLANNERS")
     """the same for the planner"""
     stop_std_db: float | None = named(None, flag="stop-std")
     """stop once the mean predicted standard deviation outdoors is below this, dB"""
