@@ -33,7 +33,7 @@ def write_report(outcome: Outcome, path: Path) -> None:
     all it shows.
     """
     frames = shown_frames(outcome)
-    views = map_views(outcome, frames)
+    views = map_views(outcome)
     page = files("skygain.reports") / "page"
     words = {
         "title": _escaped(outcome.title),

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from skygain.evaluation.rollout import Frame
 from skygain.ground.errors import MissingExtraError
 from skygain.reports.outcome import Outcome, score_label
+from skygain.reports.pictures import uav_colours
+from skygain.reports.scales import error_reach, gain_limits, std_high
 
 _MOST_MAP_BYTES = 48_000_000
 """unpacked size of all maps above which frames are left out of the animation, evenly and never the
@@ -52,29 +54,24 @@ def shown_frames(outcome: Outcome) -> list[Frame]:
     return frames
 
 
-def map_views(outcome: Outcome, frames: Sequence[Frame]) -> dict[str, dict[str, Any]]:
-    """The maps that can be shown, each with its colour scale; scales hold for all frames, so that
-    colours can be compared."""
-    outdoor = outcome.scenario.outdoor
+def map_views(outcome: Outcome) -> dict[str, dict[str, Any]]:
+    """The maps that can be shown, each with its colour scale; scales hold for all frames and are
+    those of the pictures, so that colours can be compared."""
     truth = outcome.outdoor_truth_db
-    means = np.stack([frame.mean_db[outdoor] for frame in frames])
-    stds = np.stack([frame.std_db[outdoor] for frame in frames])
-    shown = means if truth is None else truth[np.isfinite(truth)]
-    low, high = _round_range(*np.percentile(shown, (1, 99.5)))
+    low, high = gain_limits(outcome)
     gain = {"low": low, "high": high, "colours": "viridis", "label": outcome.level_label}
     views = {
         "mean": {"short": "Estimate", **gain, "label": f"estimated {outcome.level_label}"},
         "std": {
             "short": "Uncertainty",
             "low": 0.0,
-            "high": _round_range(0.0, float(np.percentile(stds, 99.5)))[1],
+            "high": std_high(outcome),
             "colours": "magma",
             "label": "predicted standard deviation in dB",
         },
     }
     if truth is not None:
-        error = means - truth[outdoor]
-        reach = _round_range(0.0, float(np.nanpercentile(np.abs(error), 97)))[1]
+        reach = error_reach(outcome)
         views["error"] = {
             "short": "Error",
             "low": -reach,
@@ -106,14 +103,14 @@ def page_data(
         [] if truth is None else [truth[np.isfinite(truth)]]
     )
     gain_range = min(float(g.min()) for g in gains), max(float(g.max()) for g in gains)
-    std_high = max(float(frame.std_db[outdoor].max()) for frame in frames)
+    std_range = 0.0, max(float(frame.std_db[outdoor].max()) for frame in frames)
     highest = max(float(scenario.city.height_m.max()), 1.0)
 
     mean = np.stack(
         [_codes(np.where(outdoor, frame.mean_db, np.nan), *gain_range) for frame in frames]
     )
     std = np.stack(
-        [_codes(np.where(outdoor, frame.std_db, np.nan), 0.0, std_high) for frame in frames]
+        [_codes(np.where(outdoor, frame.std_db, np.nan), *std_range) for frame in frames]
     )
     arrays: dict[str, tuple[str, NDArray[Any]]] = {
         "reading_gain": ("f4", readings.gain_db),
@@ -144,12 +141,13 @@ def page_data(
         "georeferenced": grid.crs is not None,
         "corners": _corners(outcome),
         "uavs": len(history),
+        "uav_colours": uav_colours(len(history)),
         "transmitter_m": None
         if outcome.transmitter_m is None
         else [float(v) for v in outcome.transmitter_m],
         "highest_m": highest,
         "gain_range": gain_range,
-        "std_high": std_high,
+        "std_high": std_range[1],
         "steps": [int(frame.step) for frame in frames],
         "score_steps": outcome.steps,
         "first_view": "mean",
@@ -224,9 +222,3 @@ def _groups(outcome: Outcome) -> list[dict[str, Any]]:
                 }
             )
     return groups
-
-
-def _round_range(low: float, high: float) -> tuple[float, float]:
-    """The range widened to whole numbers, at least 1 wide."""
-    low, high = float(np.floor(low)), float(np.ceil(high))
-    return low, max(high, low + 1.0)

@@ -15,6 +15,7 @@ __all__ = [
     "rmse_picture",
     "survey_figure",
     "survey_maps",
+    "uav_colours",
 ]
 
 import textwrap
@@ -29,10 +30,13 @@ from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.ground.shown import agg_figure
 from skygain.reports.outcome import Outcome, score_label
+from skygain.reports.scales import error_reach, gain_limits, std_high
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from skygain.grid import Grid
 
 UAV_COLOURS = (
     "#E69F00",
@@ -44,7 +48,10 @@ UAV_COLOURS = (
     "#0072B2",
     "#999999",
 )
-"""one colour per UAV, after Okabe and Ito (2008); the ninth UAV gets the first again"""
+"""one colour per UAV, after Okabe and Ito (2008), for swarms that need no more"""
+
+_NUMBERED = 12
+"""swarms up to this size have their numbers at start and end"""
 
 _LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6D00", "#56B4E9", "#222222")
 _LINE_STYLES = ("-", "--", ":")
@@ -66,7 +73,7 @@ def survey_figure(outcome: Outcome) -> Figure:
     """
     truth, estimate = outcome.outdoor_truth_db, outcome.mean_db
     shown = [outcome.measured_db if truth is None else truth, estimate]
-    low, high = _limits(np.concatenate([m[np.isfinite(m)] for m in shown]), (1, 99.5))
+    low, high = gain_limits(outcome)
     figure = _figure((16.2, 5.3) if truth is None else (11.0, 10.2), outcome)
     axes = figure.subplots(*((1, 3) if truth is None else (2, 2))).ravel()
     names = (
@@ -82,22 +89,22 @@ def survey_figure(outcome: Outcome) -> Figure:
         _colour_bar(figure, image, panel, outcome.level_label, extend="both")
         _transmitter(panel, outcome)
     _thin_paths(axes[1], outcome)
+    _scale_and_north(axes[0], outcome.grid)
     if truth is not None:
         error = estimate - truth
-        reach = _limits(np.abs(error), (0, 98))[1]
+        reach = error_reach(outcome)
         rmse = float(np.sqrt(np.nanmean(error**2)))
         name = f"Error (estimate − truth), RMSE {rmse:.1f} dB"
         image = _map(axes[2], outcome, error, name, cmap="RdBu_r", vmin=-reach, vmax=reach)
         _colour_bar(figure, image, axes[2], "error in dB", extend="both")
-    std = outcome.std_db
     image = _map(
         axes[-1],
         outcome,
-        std,
+        outcome.std_db,
         "Uncertainty (standard deviation)",
         cmap="magma",
         vmin=0,
-        vmax=_limits(std, (0, 99.5))[1],
+        vmax=std_high(outcome),
     )
     _colour_bar(figure, image, axes[-1], "standard deviation in dB", extend="max")
     for panel in axes:
@@ -122,7 +129,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     axes.set_title(f"{uavs}, {history.shape[1] - 1} steps", loc="left", color=_INK)
     greys = LinearSegmentedColormap.from_list("roofs", ["#DDE1E6", "#59636E"])
     image = axes.imshow(
-        height, origin="lower", extent=_extent(grid), cmap=greys, vmin=0, vmax=_limits(height)[1]
+        height, origin="lower", extent=_extent(grid), cmap=greys, vmin=0, vmax=_tallest(height)
     )
     if np.isfinite(height).any():
         _colour_bar(figure, image, axes, "building height in m")
@@ -132,44 +139,27 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     if low.any():
         _hatch(axes, outcome, low, "...", "white")
 
-    # UAVs that share a street are drawn beside each other, within a cell.
-    offsets = (
-        (np.arange(len(history)) - (len(history) - 1) / 2)
-        * grid.spacing_m
-        * min(0.16, 0.7 / max(len(history), 1))
-    )
+    # UAVs that share a street are drawn beside each other, within a cell; a swarm is drawn thinner.
+    many = len(history)
+    aside = (np.arange(many) - (many - 1) / 2) * grid.spacing_m * min(0.16, 0.7 / many)
+    thin = float(np.clip(6 / many, 0.4, 1.0))
+    ends = {"color": _INK, "ha": "center", "va": "center_baseline", "fontsize": 6.5, "zorder": 7}
+    joins = {"solid_joinstyle": "round", "solid_capstyle": "round"}
+    colours = uav_colours(many)
     handles: list[Any] = []
     for uav, cells in enumerate(history):
-        colour = UAV_COLOURS[uav % len(UAV_COLOURS)]
-        x, y = (grid.xy_m(cells) + offsets[uav]).T
-        axes.plot(
-            x,
-            y,
-            color=_INK,
-            lw=2.6,
-            alpha=0.55,
-            solid_joinstyle="round",
-            solid_capstyle="round",
-            zorder=3,
-        )
-        axes.plot(
-            x, y, color=colour, lw=1.5, solid_joinstyle="round", solid_capstyle="round", zorder=4
-        )
+        x, y = (grid.xy_m(cells) + aside[uav]).T
+        axes.plot(x, y, color=_INK, lw=2.6 * thin, alpha=0.55, zorder=3, **joins)
+        axes.plot(x, y, color=colours[uav], lw=1.5 * thin, zorder=4, **joins)
         for where, marker in ((0, "o"), (-1, "s")):
-            axes.plot(x[where], y[where], marker, ms=9, color=colour, mec=_INK, mew=1.1, zorder=6)
-            if len(history) > 1:
-                axes.annotate(
-                    str(uav),
-                    (x[where], y[where]),
-                    ha="center",
-                    va="center_baseline",
-                    fontsize=6.5,
-                    color=_INK,
-                    zorder=7,
-                )
-        handles.append(Line2D([], [], color=colour, lw=2.5, label=f"UAV {uav}"))
+            look = {"color": colours[uav], "mec": _INK, "mew": 1.1 * thin, "clip_on": False}
+            axes.plot(x[where], y[where], marker, ms=9 * max(thin, 0.5), zorder=6, **look)
+            if 1 < many <= _NUMBERED:
+                axes.annotate(str(uav), (x[where], y[where]), annotation_clip=False, **ends)
+        handles.append(Line2D([], [], color=colours[uav], lw=2.5, label=f"UAV {uav}"))
     _transmitter(axes, outcome)
-    handles = handles if len(handles) <= len(UAV_COLOURS) else []
+    _scale_and_north(axes, grid)
+    handles = handles if many <= len(UAV_COLOURS) else []
     handles += [
         Line2D([], [], ls="", marker=marker, color="white", mec=_INK, ms=7, label=label)
         for marker, label in (("o", "start"), ("s", "end"))
@@ -184,6 +174,18 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
         handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False
     )
     _save(figure, path)
+
+
+def uav_colours(uavs: int) -> list[str]:
+    """A colour per UAV; larger swarms take evenly spaced hues, so that neighbours in number
+    differ."""
+    from matplotlib.colors import hsv_to_rgb, to_hex
+
+    if uavs <= len(UAV_COLOURS):
+        return list(UAV_COLOURS[:uavs])
+    hue = (np.arange(uavs) * 0.618034) % 1.0
+    value = np.where(np.arange(uavs) % 2, 0.92, 0.72)
+    return [to_hex(hsv_to_rgb((h, 0.75, v))) for h, v in zip(hue, value, strict=True)]
 
 
 def rmse_picture(outcome: Outcome, path: Path) -> None:
@@ -383,13 +385,15 @@ def _thin_paths(axes: Axes, outcome: Outcome) -> None:
         x, y = outcome.grid.xy_m(cells).T
         axes.plot(x, y, color="black", lw=1.5, alpha=0.5, zorder=3)
         axes.plot(x, y, color="white", lw=0.7, alpha=0.9, zorder=4)
-        axes.plot(x[-1], y[-1], "s", ms=4, color="white", mec="black", mew=0.8, zorder=5)
+        axes.plot(
+            x[-1], y[-1], "s", ms=4, color="white", mec="black", mew=0.8, zorder=5, clip_on=False
+        )
 
 
 def _transmitter(axes: Axes, outcome: Outcome) -> None:
     if outcome.transmitter_m is not None and _on_map(outcome):
         x, y, _ = outcome.transmitter_m
-        axes.plot(x, y, "*", ms=15, color="#FFD23F", mec="black", mew=1.0, zorder=7)
+        axes.plot(x, y, "*", ms=15, color="#FFD23F", mec="black", mew=1.0, zorder=7, clip_on=False)
 
 
 def _on_map(outcome: Outcome) -> bool:
@@ -424,6 +428,35 @@ def _frame_axes(axes: Axes, outcome: Outcome) -> None:
     _quiet(axes)
 
 
+def _scale_and_north(axes: Axes, grid: Grid) -> None:
+    """A bar of a round length and an arrow to the north, in the south-west corner."""
+    from matplotlib.patheffects import withStroke
+
+    west, south, east, north = grid.bounds_m
+    wide, high = east - west, north - south
+    length = round_length(wide / 4)
+    x, y = west + 0.03 * wide, south + 0.03 * high
+    seen = [withStroke(linewidth=3.0, foreground="white")]
+    look = {"color": _INK, "zorder": 8, "path_effects": seen}
+    axes.plot([x, x + length], [y, y], lw=2.2, solid_capstyle="butt", **look)
+    text = {"fontsize": 8, "ha": "center", "va": "bottom", **look}
+    axes.text(x + length / 2, y + 0.012 * high, f"{length:g} m", **text)
+    tip = x + length + 0.05 * wide
+    axes.plot([tip, tip], [y, y + 0.055 * high], lw=1.4, **look)
+    axes.plot(tip, y + 0.055 * high, "^", ms=5, **look)
+    axes.text(tip, y + 0.07 * high, "N", **text)
+
+
+def round_length(metres: float) -> float:
+    """The longest of 1, 2 or 5 times a power of ten that is not longer.
+
+    >>> [round_length(m) for m in (72, 0.3, 199)]
+    [50.0, 0.2, 100.0]
+    """
+    power = 10.0 ** np.floor(np.log10(metres))
+    return float(max(m * power for m in (1, 2, 5) if m * power <= metres * (1 + 1e-9)))
+
+
 def _curve_axes(axes: Axes, unit: str, title: str) -> None:
     axes.set_title(title, loc="left", color=_INK)
     axes.set_xlabel("steps per UAV", color=_SOFT)
@@ -453,15 +486,10 @@ def _extent(grid: Any) -> tuple[float, float, float, float]:
     return west, east, south, north
 
 
-def _limits(
-    values: NDArray[np.floating], percent: tuple[float, float] = (0, 100)
-) -> tuple[float, float]:
-    """Ends of a colour scale: the given percentiles of the finite values, at least 1 apart."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(finite, percent))
-    return low, max(high, low + 1.0)
+def _tallest(height: NDArray[np.floating]) -> float:
+    """Upper end of the scale of heights, 1 m at least."""
+    finite = height[np.isfinite(height)]
+    return max(float(finite.max()), 1.0) if finite.size else 1.0
 
 
 def _shortened(text: str, longest: int = 48) -> str:

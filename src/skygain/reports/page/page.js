@@ -4,7 +4,6 @@
 // after the first hold differences to the frame before (modulo 256), which is what makes the file small.
 
 const $ = (id) => document.getElementById(id);
-const UAV_COLOURS = ["#E69F00", "#56B4E9", "#CC79A7", "#D55E00", "#009E73", "#F0E442", "#0072B2", "#999999"];
 const PLAY = "M8 5v14l11-7z";
 const PAUSE = "M7 5h3.6v14H7zM13.4 5H17v14h-3.6z";
 const SECONDS_AT_NORMAL_SPEED = 14;
@@ -83,6 +82,7 @@ async function main() {
   const state = { view: survey.first_view, position: lastStep, frame: lastFrame, playing: false, hover: null, group: 0 };
   let theme = {};
   let place = null; // where the map lies on its canvas
+  let paper = 0; // width in pixels that everything is drawn at for printing; 0 on a screen
   let painted = ""; // what the field shows: frame, view and theme
 
   // ---- values ----------------------------------------------------------------------------------------------------------------
@@ -125,9 +125,10 @@ async function main() {
 
   function drawMap() {
     paintField();
-    const box = $("map").clientWidth;
-    const margin = { left: 48, top: 6, right: 6, bottom: 40 };
-    const tallest = Math.max(300, window.innerHeight * 0.8);
+    const box = paper || $("map").clientWidth;
+    const margin = { left: 48, top: 12, right: 12, bottom: 40 };
+    // what stands above and below the map, so that it is whole on the first screen
+    const tallest = paper ? 0.95 * paper : Math.max(300, window.innerHeight - 352);
     const scale = Math.min((box - margin.left - margin.right) / cols, tallest / rows);
     const width = scale * cols;
     const height = scale * rows;
@@ -143,14 +144,14 @@ async function main() {
     const [x0, y0] = survey.georeferenced ? [west, south] : [0, 0];
     const perMetre = scale / survey.spacing_m;
     g.textAlign = "center";
-    for (const x of niceTicks(west - x0, east - x0, box < 480 ? 4 : 6).ticks) {
+    for (const x of niceTicks(west - x0, east - x0, width < 480 ? 4 : 6).ticks) {
       const px = margin.left + (x + x0 - west) * perMetre;
       g.fillRect(px, margin.top + height, 1, 4);
       g.fillText(number(x, 0), px, margin.top + height + 16);
     }
     g.fillText("x east in m", margin.left + width / 2, margin.top + height + 33);
     g.textAlign = "right";
-    for (const y of niceTicks(south - y0, north - y0, box < 480 ? 4 : 6).ticks) {
+    for (const y of niceTicks(south - y0, north - y0, height < 480 ? 4 : 6).ticks) {
       const py = margin.top + height - (y + y0 - south) * perMetre;
       g.fillRect(margin.left - 4, py, 4, 1);
       g.fillText(number(y, 0), margin.left - 7, py + 4);
@@ -170,6 +171,7 @@ async function main() {
     drawUavs(g, Math.max(5.5, Math.min(9.5, width / 62)));
     g.restore();
     drawTransmitter(g, margin, width, height, perMetre);
+    drawScale(g, margin.left + 12, margin.top + height - 12, width, perMetre);
     if (state.hover !== null) {
       const [px, py] = corner(state.hover);
       for (const [colour, wide] of [["#000", 3.5], ["#fff", 1.5]]) {
@@ -228,10 +230,12 @@ async function main() {
   function drawUavs(g, radius) {
     g.lineJoin = g.lineCap = "round";
     const now = state.position;
+    const thin = Math.max(0.4, Math.min(1, 6 / uavs));
+    radius *= Math.max(0.6, thin);
     const recent = Math.max(0, now - Math.max(12, lastStep / 8));
     for (let uav = 0; uav < uavs; uav++) {
-      const colour = UAV_COLOURS[uav % UAV_COLOURS.length];
-      for (const [from, wide, casing] of [[0, 1.6, 3.4], [recent, 3, 5.4]]) {
+      const colour = survey.uav_colours[uav];
+      for (const [from, wide, casing] of [[0, 1.6 * thin, 3.4 * thin], [recent, 3 * thin, 5.4 * thin]]) {
         if (from && from >= now) continue;
         g.strokeStyle = "rgb(8 14 20 / 65%)";
         g.lineWidth = casing;
@@ -248,7 +252,7 @@ async function main() {
       const [px, py] = uavPoint(uav, now);
       g.beginPath();
       g.arc(px, py, radius, 0, 2 * Math.PI);
-      g.fillStyle = UAV_COLOURS[uav % UAV_COLOURS.length];
+      g.fillStyle = survey.uav_colours[uav];
       g.fill();
       g.lineWidth = 4;
       g.strokeStyle = "#10181f";
@@ -257,7 +261,7 @@ async function main() {
       g.strokeStyle = "#fff";
       g.stroke();
       g.fillStyle = "#10181f";
-      g.fillText(String(uav), px, py + 0.5);
+      if (uavs <= 12) g.fillText(String(uav), px, py + 0.5);
     }
     g.textBaseline = "alphabetic";
   }
@@ -281,19 +285,59 @@ async function main() {
     g.fill();
   }
 
+  // A bar of a round length and an arrow to the north, readable on any colour.
+  function drawScale(g, x, y, width, perMetre) {
+    const metres = width / 4 / perMetre;
+    const power = 10 ** Math.floor(Math.log10(metres));
+    const length = [5, 2, 1].map((m) => m * power).find((m) => m <= metres * (1 + 1e-9));
+    const end = x + length * perMetre;
+    const north = end + 20;
+    g.lineJoin = "round";
+    g.textAlign = "center";
+    g.font = "600 11.5px ui-sans-serif, system-ui, sans-serif";
+    for (const [colour, wide] of [["#fff", 5], ["#10181f", 2]]) {
+      g.strokeStyle = g.fillStyle = colour;
+      g.lineWidth = wide;
+      g.beginPath();
+      g.moveTo(x, y - 5);
+      g.lineTo(x, y);
+      g.lineTo(end, y);
+      g.lineTo(end, y - 5);
+      g.moveTo(north, y);
+      g.lineTo(north, y - 14);
+      g.moveTo(north - 4, y - 9);
+      g.lineTo(north, y - 15);
+      g.lineTo(north + 4, y - 9);
+      g.stroke();
+      for (const [text, at, up] of [[`${length} m`, (x + end) / 2, 6], ["N", north, 19]]) {
+        g.lineWidth = 3.5;
+        if (colour === "#fff") g.strokeText(text, at, y - up);
+        else g.fillText(text, at, y - up);
+      }
+    }
+  }
+
   // ---- the colour scale ------------------------------------------------------------------------------------------------------
   function drawBar() {
     const { low, high, colours, label } = views[state.view];
-    const width = $("bar").parentElement.clientWidth;
+    const width = paper || $("bar").parentElement.clientWidth;
     const g = sized($("bar"), width, 52);
     const [left, right, top, thick] = [14, width - 14, 8, 12];
     const table = data[colours];
     const gradient = g.createLinearGradient(left, 0, right, 0);
     for (let i = 0; i < 256; i += 5) gradient.addColorStop(i / 255, `rgb(${table[3 * i]} ${table[3 * i + 1]} ${table[3 * i + 2]})`);
     g.fillStyle = gradient;
-    g.beginPath();
-    g.roundRect(left, top, right - left, thick, 4);
-    g.fill();
+    g.fillRect(left, top, right - left, thick);
+    // an arrow where values lie beyond the end
+    for (const [at, tip, i] of [[left, left - 9, 0], [right, right + 9, 255]]) {
+      if (i === 0 && state.view === "std") continue;
+      g.fillStyle = `rgb(${table[3 * i]} ${table[3 * i + 1]} ${table[3 * i + 2]})`;
+      g.beginPath();
+      g.moveTo(at, top);
+      g.lineTo(tip, top + thick / 2);
+      g.lineTo(at, top + thick);
+      g.fill();
+    }
     g.fillStyle = theme.soft;
     g.font = "11.5px ui-sans-serif, system-ui, sans-serif";
     g.textAlign = "center";
@@ -479,6 +523,13 @@ async function main() {
     const line = survey.groups.length ? survey.groups[0].lines[0] : null;
     const score = line ? `. ${line.label} ${withUnit(line.values[scoreIndex()], survey.groups[0].unit)}` : "";
     $("status").textContent = `Step ${steps[state.frame]} of ${lastStep}${score}`;
+    keepLink();
+  }
+
+  // The address names what is shown, so that it can be sent to somebody.
+  function keepLink() {
+    const link = `#step=${steps[state.frame]}&view=${state.view}`;
+    if (location.hash !== link) history.replaceState(null, "", link);
   }
 
   function goTo(frame) {
@@ -543,6 +594,12 @@ async function main() {
     show(state.position);
   }
 
+  function onPaper(width) {
+    paper = width;
+    document.documentElement.toggleAttribute("data-paper", width > 0);
+    redraw();
+  }
+
   function followLink() {
     const link = new URLSearchParams(location.hash.slice(1));
     if (link.has("view")) choose(link.get("view"));
@@ -558,7 +615,7 @@ async function main() {
   $("forward").onclick = stepForward;
   $("last").onclick = () => (pause(), goTo(lastFrame));
   $("slider").oninput = (event) => (pause(), goTo(Number(event.target.value)));
-  for (const radio of document.querySelectorAll(".views input")) radio.onchange = () => choose(radio.value);
+  for (const radio of document.querySelectorAll(".views input")) radio.onchange = () => (choose(radio.value), keepLink());
   $("metric").replaceChildren(...survey.groups.map((group, i) => new Option(group.title + (group.unit ? ` in ${group.unit}` : ""), i)));
   $("metric").onchange = (event) => {
     state.group = Number(event.target.value);
@@ -593,6 +650,9 @@ async function main() {
     event.preventDefault();
   });
   window.addEventListener("hashchange", followLink);
+  window.addEventListener("beforeprint", () => onPaper(640));
+  window.addEventListener("afterprint", () => onPaper(0));
+  window.addEventListener("resize", () => paper || drawMap()); // its height follows the window's
   let stageWidth = 0;
   new ResizeObserver(([entry]) => {
     if (entry.contentRect.width === stageWidth) return; // drawing changes the height, which must not draw again
