@@ -6,7 +6,7 @@ CONSTRAINTS ?= constraints.txt
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile --constraint $(CONSTRAINTS)
 
-.PHONY: demo test robustness lint types docs check clean
+.PHONY: demo test robustness lint types docs reference check clean
 
 demo: .venv/demo.stamp
 	$(BIN)/skygain survey --city sample:9 --out surveys/demo --overwrite
@@ -31,6 +31,10 @@ docs: .venv/test.stamp
 	$(BIN)/python docs/check.py
 	$(BIN)/python benchmarks/document_tables.py --check
 
+# The API reference out of the docstrings, in reference/.
+reference: .venv/docs.stamp
+	$(BIN)/python docs/reference.py reference
+
 check: test lint types docs
 
 .venv/bin/python:
@@ -45,5 +49,9 @@ check: test lint types docs
 	$(PIP) --editable '.[dev]'
 	@touch $@
 
+.venv/docs.stamp: .venv/demo.stamp
+	$(PIP) --editable '.[docs]'
+	@touch $@
+
 clean:
-	rm -rf .venv surveys
+	rm -rf .venv surveys maps reference

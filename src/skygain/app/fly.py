@@ -200,11 +200,12 @@ def fly(
     with on_compiling(compiling):
         result = survey.fly(swarm, rng, recorder, tape)
     recorder.take(result.swarm.steps_flown, result.swarm, result.belief)
+    uavs = "1 UAV" if request.uavs == 1 else f"{request.uavs} UAVs"
     return Flown(
         result,
         recorder.frames,
         setting.truth_db,
-        title=f"{setting.title}: {method.label}, {request.uavs} UAVs",
+        title=f"{setting.title}: {method.label}, {uavs}",
         config=_resolved(request, method),
         true_transmitter_m=setting.transmitter_m,
         level_label=setting.level_label,
