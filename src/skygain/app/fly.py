@@ -135,7 +135,7 @@ def _journal(request: SurveyRequest) -> Journal:
         str(value): file_digest(value)
         for value in plain(request.stored()).values()
         for value in _paths(value)
-    } | method_files(MethodSpec(request.predictor, request.planner))
+    } | method_files(_method(request))
     belongs_to = {"request": request.stored(), "files": files, "skygain": skygain.__version__}
     anew = "give `overwrite=True`"
     return Journal(request.out / JOURNAL, belongs_to, anew=anew)
