@@ -1,5 +1,9 @@
 """Check the documentation.
 
+    python docs/check.py [--run]
+
+With ``--run`` the commands of README, tutorial and task pages are run too, where their files ship.
+
 Every ``>>>`` example gives what it says, every relative link leads somewhere, every command is one
 that the command line takes, every module and file that is named exists, lines of text end at column
 100, and every example script runs.
@@ -165,6 +169,38 @@ def wrong_examples(page: Path) -> int:
             os.chdir(here)
 
 
+def runnable(page: Path) -> list[list[str]]:
+    """The ``skygain`` commands in the code blocks of a page that can be run as they stand."""
+    found = []
+    for block in FENCE.findall(page.read_text(encoding="utf-8")):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.strip().startswith(("skygain ", ".venv/bin/skygain ")):
+                words = shlex.split(line, comments=True)[1:]
+                if not any(word.startswith("mymodule:") for word in words):
+                    found.append(words)
+    return found
+
+
+def failed_commands(page: Path) -> Iterator[str]:
+    """Commands that end in an error, run one after the other in a folder with the examples."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "examples").symlink_to(ROOT / "examples")
+        for words in runnable(page):
+            if words[:2] == ["dataset", "build"]:  # an hour
+                continue
+            run = [sys.executable, "-m", "skygain", *words]
+            done = subprocess.run(run, cwd=folder, capture_output=True, text=True, check=False)
+            print(f"skygain {shlex.join(words)}: {done.returncode}", flush=True)
+            if done.returncode:
+                yield f"`skygain {shlex.join(words)}`: {done.stderr.strip().splitlines()[-1]}"
+
+
+def newcomers() -> list[Path]:
+    """The pages that a newcomer types from."""
+    docs = ROOT / "docs"
+    return [ROOT / "README.md", docs / "tutorial.md", *sorted((docs / "how-to").glob("*.md"))]
+
+
 def source_problems(module: Path) -> Iterator[str]:
     """Files that a module speaks of and that do not exist."""
     for name in sorted(set(PATH.findall(module.read_text(encoding="utf-8")))):
@@ -180,6 +216,11 @@ def main() -> int:
             print(f"{page.relative_to(ROOT)}: {problem}")
             failures += 1
         failures += wrong_examples(page)
+    if "--run" in sys.argv[1:]:
+        for page in newcomers():
+            for problem in failed_commands(page):
+                print(f"{page.relative_to(ROOT)}: {problem}")
+                failures += 1
     for module in sorted((ROOT / "src").rglob("*.py")):
         for problem in source_problems(module):
             print(f"{module.relative_to(ROOT)}: {problem}")

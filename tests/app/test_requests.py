@@ -241,3 +241,35 @@ def test_readings_of_a_survey_can_be_flown_over_again(tmp_path: Path) -> None:
     assert "measurements.csv" in again.title
     known = json.loads((tmp_path / "first" / "results.json").read_text())["survey"]
     assert np.isfinite(again.outdoor_truth_db).sum() <= known["measured_cells"]
+
+
+def test_unless_told_otherwise_the_best_method_flies_and_says_what_it_knew(tmp_path) -> None:
+    told = run_survey(SurveyRequest(city="sample:9", steps=2, crop=40, out=tmp_path / "flown"))
+    assert "told the buildings, not where the transmitter is" in told
+    config = json.loads((tmp_path / "flown" / "results.json").read_text())["config"]
+    assert (config["predictor"], config["planner"]) == ("operator", "sequential-greedy")
+
+
+def test_a_recording_is_mapped_by_kriging_unless_told_otherwise() -> None:
+    campaign = Path(__file__).parents[2] / "examples" / "data" / "campaign.csv"
+    where = {"pci": "101"}
+    outcome = fly(SurveyRequest(replay=campaign, where=where, uavs=1, steps=2))
+    assert outcome.config["predictor"] == "kriging-blind"
+    assert "neither buildings nor where the transmitter is" in outcome.told
+
+
+def test_the_latest_survey_is_replaced_but_nothing_else(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_survey(QUICK)
+    run_survey(replace(QUICK, seed=1))
+    results = tmp_path / "surveys" / "latest" / "results.json"
+    assert json.loads(results.read_text())["config"]["seed"] == 1
+    results.write_text('{"mine": 1}')
+    with pytest.raises(InputError, match="overwrite"):
+        run_survey(QUICK)
+
+
+def test_a_refused_request_leaves_nothing_to_go_on_with(tmp_path) -> None:
+    with pytest.raises(InputError, match="no link 999"):
+        run_survey(replace(QUICK, city="sample:999", out=tmp_path))
+    assert not list(tmp_path.iterdir())
