@@ -17,7 +17,10 @@ from skygain.app.requests import (
     TrainPredictorRequest,
     TrainRequest,
 )
+from skygain.app.signals import stopping
 from skygain.ground.errors import require
+
+STOPPING = "stopping: what is under way is finished and saved; the same command goes on"
 
 
 def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
@@ -54,21 +57,25 @@ def run_kriging(request: TrainKrigingRequest, progress: Progress) -> str:
 def run_policy(request: TrainPolicyRequest, progress: Progress) -> str:
     """Train a policy; returns its scores."""
     from skygain.training import train_policy
+    from skygain.training.run import stop_runs
 
-    result = train_policy(
-        request.recipe, request.data, request.out, report=_say, **_changes(request)
-    )
+    with stopping(stop_runs, STOPPING):
+        result = train_policy(
+            request.recipe, request.data, request.out, report=_say, **_changes(request)
+        )
     return f"{result.step} steps, {result.seconds / 60:.0f} minutes; scores {result.scores}"
 
 
 def run_predictor(request: TrainPredictorRequest, progress: Progress) -> str:
     """Train a network; returns its scores."""
     from skygain.training import train_predictor
+    from skygain.training.run import stop_runs
 
     changes = _changes(request)
     if request.finish is not None:
         changes["finish"] = request.finish
-    result = train_predictor(request.recipe, request.data, request.out, report=_say, **changes)
+    with stopping(stop_runs, STOPPING):
+        result = train_predictor(request.recipe, request.data, request.out, report=_say, **changes)
     return (
         f"{result.step} steps, {result.samples} samples, {result.seconds / 60:.0f} minutes; scores "
         f"{result.scores}"

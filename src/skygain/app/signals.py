@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-__all__ = ["Terminated", "told_of_signals"]
+__all__ = ["Terminated", "stopping", "told_of_signals"]
 
 import contextlib
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 ENDING = ("SIGTERM", "SIGHUP")
 
@@ -66,3 +66,31 @@ def told_of_signals(first: str, kept: str) -> Iterator[None]:
         thread.join(timeout=1.0)
         os.close(writer)
         os.close(reader)
+
+
+@contextlib.contextmanager
+def stopping(stop: Callable[[], None], told: str) -> Iterator[None]:
+    """Within the block the first signal prints ``told`` and calls ``stop``, which ends the work at
+    its next good moment; a second one ends it at once. After SIGTERM and SIGHUP the block raises
+    `Terminated` at its end."""
+    if threading.current_thread() is not threading.main_thread() or sys.platform == "win32":
+        yield
+        return
+    seen: list[int] = []
+
+    def heard(number: int, _: object) -> None:
+        seen.append(number)
+        if len(seen) > 1:
+            raise KeyboardInterrupt
+        print(f"\n{told}", file=sys.stderr, flush=True)
+        stop()
+
+    numbers = [signal.SIGINT, *(getattr(signal, name) for name in ENDING)]
+    before = {number: signal.signal(number, heard) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if seen and seen[0] != signal.SIGINT:
+        raise Terminated(seen[0])

@@ -151,11 +151,12 @@ def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
 def write_weights(path: Path, arrays: Mapping[str, Any], card: dict[str, Any]) -> None:
     """Write ``arrays`` (of NumPy, or tensors on the processor) with ``card`` in the header, and the
     card as JSON beside them."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     found = {key: np.ascontiguousarray(value) for key, value in arrays.items()}
     with atomic_write(path) as tmp:
-        save_file(found, tmp, metadata={"skygain": json.dumps(card)})
+        # the library's own writing hides what is wrong with a disk
+        tmp.write_bytes(save(found, metadata={"skygain": json.dumps(card)}))
     with atomic_write(path.with_suffix(".json")) as tmp:
         tmp.write_text(json.dumps(card, indent=2) + "\n")
 

@@ -20,11 +20,12 @@ from skygain.ground.files import atomic_write
 
 def save_checkpoint(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     """Write ``tensors`` and ``meta`` (JSON) to the single file ``path``, atomically."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     held = {k: v.detach().contiguous() for k, v in tensors.items()}
     with atomic_write(path) as part:
-        save_file(held, part, metadata={"skygain": json.dumps(meta)})
+        # the library's own writing hides what is wrong with a disk
+        part.write_bytes(save(held, metadata={"skygain": json.dumps(meta)}))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

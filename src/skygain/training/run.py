@@ -7,7 +7,7 @@ too. So a run that was killed goes on to the very bytes of one left alone.
 
 from __future__ import annotations
 
-__all__ = ["Part", "Report", "Result", "Run", "one_cycle", "set_rate", "under"]
+__all__ = ["Part", "Report", "Result", "Run", "one_cycle", "set_rate", "stop_runs", "under"]
 
 import json
 import math
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from skygain.ground.errors import InputError
-from skygain.ground.files import atomic_write, writable_folder
+from skygain.ground.files import atomic_write, unwritable, writable_folder
 from skygain.ground.strict_json import json_text, plain
 from skygain.training.checkpoints import load_checkpoint, save_checkpoint
 
@@ -33,6 +34,14 @@ Part = (
 """what a checkpoint can hold"""
 Report = Callable[[dict[str, Any]], None]
 """hears every record of the log"""
+
+
+_asked_to_stop = Event()
+
+
+def stop_runs() -> None:
+    """Every run of this process ends after what is under way, and is saved."""
+    _asked_to_stop.set()
 
 
 @dataclass(frozen=True)
@@ -97,8 +106,8 @@ class Run:
 
     @property
     def over(self) -> bool:
-        """Whether this call has had its time."""
-        return time.monotonic() > self.deadline
+        """Whether this call has had its time, or was asked to stop."""
+        return _asked_to_stop.is_set() or time.monotonic() > self.deadline
 
     @property
     def unsaved_seconds(self) -> float:
@@ -108,8 +117,12 @@ class Run:
     def record(self, **values: Any) -> None:
         """Write a line of the log and report it."""
         line = plain({"step": self.step, "seconds": round(self.seconds, 1), **values})
-        with (self.folder / "log.jsonl").open("a", encoding="utf-8") as log:
-            log.write(json.dumps(line) + "\n")
+        log = self.folder / "log.jsonl"
+        try:
+            with log.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise unwritable(log, error) from error
         self.report(line)
 
     def save(self) -> None:
