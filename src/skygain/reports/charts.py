@@ -21,7 +21,6 @@ from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ import skygain
 from skygain.grid import Grid
 from skygain.ground.errors import MissingExtraError, require
 from skygain.ground.strict_json import json_text
+from skygain.reports.names import table_text, xml_text
 from skygain.survey.mapping import RadioMap
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def _write_csv(charts: Sequence[RadioMap], path: Path, notes: list[str]) -> None
             columns += [*g.cell.T.tolist(), g.level_db.tolist(), g.noise_std_db.tolist()]
             columns += [g.count.tolist(), g.censored.astype(int).tolist()]
             if len(charts) > 1:
-                columns.append([chart.label] * len(g))
+                columns.append([table_text(chart.label)] * len(g))
             writer.writerows(zip(*columns, strict=True))
 
 
@@ -322,7 +322,7 @@ def _write_places(grid: Grid, places: Mapping[str, NDArray[np.int64]], folder: P
     if grid.crs is None:
         return
     kml = "".join(
-        f"<Placemark><name>{escape(f'{label} {order}'.strip())}</name><Point><coordinates>"
+        f"<Placemark><name>{xml_text(f'{label} {order}'.strip())}</name><Point><coordinates>"
         f"{lon},{lat}</coordinates></Point></Placemark>\n"
         for label, order, (lon, lat) in marks
     )
@@ -332,7 +332,7 @@ def _write_places(grid: Grid, places: Mapping[str, NDArray[np.int64]], folder: P
         encoding="utf-8",
     )
     gpx = "".join(
-        f'<wpt lat="{lat}" lon="{lon}"><name>{escape(f"{label} {order}".strip())}</name></wpt>\n'
+        f'<wpt lat="{lat}" lon="{lon}"><name>{xml_text(f"{label} {order}".strip())}</name></wpt>\n'
         for label, order, (lon, lat) in marks
     )
     (folder / "next.gpx").write_text(
