@@ -11,6 +11,7 @@ from skygain.app.requests import MapRequest
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.ground.files import writable_folder
+from skygain.ground.journal import locked
 from skygain.instruments import grid_for, joined, on_grid, read_recording, read_series
 from skygain.instruments.recording import Recording
 from skygain.survey.mapping import RadioMap, next_places, radio_map
@@ -35,14 +36,27 @@ def run_map(request: MapRequest, progress: Progress | None = None) -> str:
     Raises:
         InputError: anything about the request, the logs or the folder that the user can put right.
     """
-    from skygain.reports.charts import write_charts
+    from skygain.reports.charts import FILES
 
     out = request.out
     if (out / "results.json").exists() and not request.overwrite:
         raise InputError(
             f"{out} already holds results; give another `out`, or `overwrite=True` to replace them"
         )
-    writable_folder(out)
+    for name in FILES:
+        if (out / name).exists() and not request.overwrite:
+            raise InputError(
+                f"{out / name} is there already and no map wrote it; give another `out`, or "
+                "`overwrite=True` to replace it"
+            )
+    with locked(writable_folder(out)):
+        return _written(request, progress)
+
+
+def _written(request: MapRequest, progress: Progress | None) -> str:
+    from skygain.reports.charts import write_charts
+
+    out = request.out
     charts = chart(request, progress)
     places = {c.label: next_places(c, request.next_places) for c in charts if request.next_places}
     title = f"Map of {', '.join(path.name for path in request.readings)}"

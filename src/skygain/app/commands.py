@@ -17,7 +17,7 @@ from skygain.app.requests import (
     TrainPredictorRequest,
     TrainRequest,
 )
-from skygain.app.signals import stopping
+from skygain.app.signals import stopping, told_of_signals
 from skygain.ground.errors import require
 
 STOPPING = "stopping: what is under way is finished and saved; the same command goes on"
@@ -29,14 +29,16 @@ def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
     from skygain.datasets.summary import describe_dataset
 
     progress.phase("tracing cities")
-    build_dataset(
-        request.preset,
-        request.out,
-        workers=request.workers,
-        resume=request.resume,
-        propagation=request.propagation,
-        progress=lambda done, total, _left: progress(done, total),
-    )
+    ended = "ended; finished cities are kept, the same command goes on"
+    with told_of_signals(ended, ended):
+        build_dataset(
+            request.preset,
+            request.out,
+            workers=request.workers,
+            resume=request.resume,
+            propagation=request.propagation,
+            progress=lambda done, total, _left: progress(done, total),
+        )
     return describe_dataset(request.out)
 
 

@@ -15,12 +15,12 @@ import io
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,29 @@ from numpy.typing import NDArray
 import skygain
 from skygain.grid import Grid
 from skygain.ground.errors import MissingExtraError, require
+from skygain.ground.files import full_disk, unwritable
 from skygain.ground.strict_json import json_text
+from skygain.reports.folder import DRAFT
 from skygain.reports.names import table_text, xml_text
 from skygain.survey.mapping import RadioMap
 
 Array = NDArray[np.float64]
 
 _CONTOUR_STEP_DB = 10.0
+FILES = (
+    "measurements.csv",
+    "radio_map.tif",
+    "radio_map.nc",
+    "contours.geojson",
+    "coverage.geojson",
+    "next.geojson",
+    "next.kml",
+    "next.gpx",
+    "map.png",
+    "report.html",
+    "results.json",
+)
+"""what is written; the last one is there only when all the others are of the same maps"""
 
 
 def write_charts(
@@ -59,10 +75,12 @@ def write_charts(
     Returns:
         What could not be written in full, and why.
     """
-    draft = Path(tempfile.mkdtemp(prefix=".draft-", dir=out))
-    places = places or {}
+    for old in out.glob(f"{DRAFT}*"):  # of a run that was killed
+        shutil.rmtree(old, ignore_errors=True)
+    draft, places = out / f"{DRAFT}{uuid4().hex[:8]}", places or {}
     notes: list[str] = []
     try:
+        draft.mkdir()
         _write_csv(charts, draft / "measurements.csv", notes)
         bands = _bands(charts)
         _write_tif(charts[0], bands, title, draft / "radio_map.tif", notes)
@@ -78,8 +96,16 @@ def write_charts(
         page = _page(charts, results, picture, title)
         (draft / "report.html").write_text(page, encoding="utf-8", errors="replace")
         (draft / "results.json").write_text(json_text(results), encoding="utf-8")
-        for path in sorted(draft.iterdir(), key=lambda p: p.name == "results.json"):
-            os.replace(path, out / path.name)
+        (out / "results.json").unlink(missing_ok=True)
+        for name in FILES:
+            if (draft / name).exists():
+                os.replace(draft / name, out / name)
+            else:
+                (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        if full_disk(error):
+            raise unwritable(out, error) from error
+        raise
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return notes
@@ -229,7 +255,8 @@ def _write_nc(
         for name in dataset.data_vars:
             dataset[name].attrs["grid_mapping"] = "spatial_ref"
     encoding = {name: {"zlib": True, "complevel": 4} for name in dataset.data_vars}
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    # HDF5 ends the process when the disk fills while it writes, so it writes to memory.
+    path.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 
 def _plain(name: str) -> str:
