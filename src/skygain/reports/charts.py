@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 
 import skygain
 from skygain.grid import Grid
-from skygain.ground.errors import MissingExtraError, require
+from skygain.ground.errors import MissingExtraError, install_command, require
 from skygain.ground.files import full_disk, unwritable
 from skygain.ground.strict_json import json_text
+from skygain.reports.axes import INK, colour_bar, extent_m, frame_axes, scale_and_north
 from skygain.reports.folder import DRAFT
 from skygain.reports.names import table_text, xml_text
 from skygain.survey.mapping import RadioMap
@@ -158,7 +159,7 @@ def _write_csv(charts: Sequence[RadioMap], path: Path, notes: list[str]) -> None
             grid.latlon([(0, 0)])
         except MissingExtraError:
             placed = False
-            notes.append(f"{path.name} has no lat and lon columns: install skygain[geo]")
+            notes.append(f"{path.name} has no lat and lon columns: {install_command('geo')}")
     if not placed:
         header = [h for h in header if h not in ("lat", "lon")]
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -195,7 +196,7 @@ def _write_tif(
     try:
         rasterio = require("rasterio", "geo")
     except MissingExtraError:
-        notes.append(f"{path.name} skipped: install skygain[geo]")
+        notes.append(f"{path.name} skipped: {install_command('geo')}")
         return
     from rasterio.io import MemoryFile
 
@@ -379,10 +380,8 @@ def _picture(
     shown = list(charts[:6])
     figure = Figure(figsize=(15.5, 4.9 * len(shown)), layout="constrained", dpi=110)
     FigureCanvasAgg(figure)
-    figure.suptitle(title)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK)
     grid = shown[0].grid
-    west, south, east, north = grid.bounds_m
-    extent = (west, east, south, north)
     rows = figure.subplots(len(shown), 3, squeeze=False, sharex=True, sharey=True)
     for axes, chart in zip(rows, shown, strict=True):
         known = chart.gridded.level_db
@@ -391,7 +390,7 @@ def _picture(
         levels = {"vmin": low, "vmax": high, "cmap": "viridis"}
         x, y = grid.xy_m(chart.gridded.cell).T
         dots = axes[0].scatter(x, y, c=known, s=4, linewidths=0, rasterized=True, **levels)
-        common = {"origin": "lower", "extent": extent}
+        common = {"origin": "lower", "extent": extent_m(grid)}
         mean = axes[1].imshow(chart.mean_db, **common, **levels)
         std = axes[2].imshow(chart.std_db, **common, cmap="magma", vmin=0)
         cells = places.get(chart.label, np.empty((0, 2), dtype=int))
@@ -408,11 +407,12 @@ def _picture(
             (unit, unit, "standard deviation in dB"),
             strict=True,
         ):
-            panel.set_title(name, loc="left")
-            panel.set_aspect("equal")
-            panel.set_xlim(west, east)
-            panel.set_ylim(south, north)
-            figure.colorbar(image, ax=panel, label=label, shrink=0.85)
+            panel.set_title(name, loc="left", color=INK)
+            beyond = "neither" if image is std else "both"
+            colour_bar(figure, image, panel, label, extend=beyond)
+            frame_axes(panel, grid)
+            panel.label_outer()
+        scale_and_north(axes[0], grid)
     memory = io.BytesIO()
     figure.savefig(memory, format="png")
     return memory.getvalue()
@@ -471,10 +471,12 @@ def _page(
         "body{font:16px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;"
         "color:#1f2933}img{max-width:100%}table{border-collapse:collapse}td,th{padding:.2rem .8rem;"
         "text-align:left;border-bottom:1px solid #d8dde3}td+td{text-align:right}"
+        "@page{size:A4 landscape;margin:12mm}@media print{body{margin:0;max-width:none}"
+        "img,table{break-inside:avoid}}"
     )
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'
-        f"</title><style>{style}</style></head><body>\n<h1>{html.escape(title)}</h1>\n"
+        f"</title><style>{style}</style></head><body>\n"
         f'<img alt="Readings, map and uncertainty" src="data:image/png;base64,{image}">\n'
         + "\n".join(parts)
         + f"\n<p>Skygain {html.escape(skygain.__version__)}</p></body></html>\n"

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import skygain
-from skygain.ground.errors import MissingExtraError, require
+from skygain.ground.errors import MissingExtraError, install_command, require
 from skygain.ground.files import atomic_write
 from skygain.ground.strict_json import json_text
 from skygain.reports.outcome import Outcome
@@ -52,7 +52,7 @@ def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
                 "lon": [f"{v:.9f}" for v in latlon[:, 1]],
             }
         except MissingExtraError:
-            note = f"{path.name} has no lat and lon columns: install skygain[geo]"
+            note = f"{path.name} has no lat and lon columns; for these: {install_command('geo')}"
     columns |= {
         "row": readings.cell[:, 0].tolist(),
         "col": readings.cell[:, 1].tolist(),
@@ -84,7 +84,7 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
     try:
         rasterio = require("rasterio", "geo")
     except MissingExtraError:
-        return f"{path.name} skipped: install skygain[geo]"
+        return f"{path.name} was left out; to have it: {install_command('geo')}"
     from rasterio.io import MemoryFile
 
     level = outcome.unit.lower()
@@ -213,7 +213,8 @@ def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
         for axis, name in (("x", "projection_x_coordinate"), ("y", "projection_y_coordinate")):
             dataset[axis].attrs["standard_name"] = name
     except MissingExtraError:
-        mapping, note = {}, f"names the CRS {grid.crs} without its definition: install skygain[geo]"
+        mapping = {}
+        note = f"names the CRS {grid.crs} without its definition: {install_command('geo')}"
     west, _, _, north = grid.bounds_m
     mapping["GeoTransform"] = f"{west!r} {grid.spacing_m!r} 0.0 {north!r} 0.0 {-grid.spacing_m!r}"
     dataset = dataset.assign_coords(spatial_ref=((), 0, {"crs": grid.crs, **mapping}))

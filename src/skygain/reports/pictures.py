@@ -29,14 +29,21 @@ from numpy.typing import ArrayLike, NDArray
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.ground.shown import agg_figure
+from skygain.reports.axes import (
+    INK,
+    SOFT,
+    colour_bar,
+    extent_m,
+    frame_axes,
+    quiet,
+    scale_and_north,
+)
 from skygain.reports.outcome import Outcome, score_label
 from skygain.reports.scales import error_reach, gain_limits, std_high
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from skygain.grid import Grid
 
 UAV_COLOURS = (
     "#E69F00",
@@ -56,7 +63,6 @@ _NUMBERED = 12
 _LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6D00", "#56B4E9", "#222222")
 _LINE_STYLES = ("-", "--", ":")
 _MARKERS = "osD^vPXphd<>"
-_INK, _SOFT, _GROUND = "#1F2933", "#66727F", "#F4F5F7"
 _DPI = 160
 
 
@@ -86,17 +92,17 @@ def survey_figure(outcome: Outcome) -> Figure:
     )
     for panel, values, name in zip(axes, shown, names, strict=False):
         image = _map(panel, outcome, values, name, cmap="viridis", vmin=low, vmax=high)
-        _colour_bar(figure, image, panel, outcome.level_label, extend="both")
+        colour_bar(figure, image, panel, outcome.level_label, extend="both")
         _transmitter(panel, outcome)
     _thin_paths(axes[1], outcome)
-    _scale_and_north(axes[0], outcome.grid)
+    scale_and_north(axes[0], outcome.grid)
     if truth is not None:
         error = estimate - truth
         reach = error_reach(outcome)
         rmse = float(np.sqrt(np.nanmean(error**2)))
         name = f"Error (estimate − truth), RMSE {rmse:.1f} dB"
         image = _map(axes[2], outcome, error, name, cmap="RdBu_r", vmin=-reach, vmax=reach)
-        _colour_bar(figure, image, axes[2], "error in dB", extend="both")
+        colour_bar(figure, image, axes[2], "error in dB", extend="both")
     image = _map(
         axes[-1],
         outcome,
@@ -106,7 +112,7 @@ def survey_figure(outcome: Outcome) -> Figure:
         vmin=0,
         vmax=std_high(outcome),
     )
-    _colour_bar(figure, image, axes[-1], "standard deviation in dB", extend="max")
+    colour_bar(figure, image, axes[-1], "standard deviation in dB", extend="max")
     for panel in axes:
         panel.label_outer()
     return figure
@@ -124,15 +130,15 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     figure = _figure((7.4, 6.6), outcome)
     axes = figure.subplots()
     height = np.where(scenario.city.height_m > 0, scenario.city.height_m, np.nan)
-    _frame_axes(axes, outcome)
+    frame_axes(axes, outcome.grid)
     uavs = "1 UAV" if len(history) == 1 else f"{len(history)} UAVs"
-    axes.set_title(f"{uavs}, {history.shape[1] - 1} steps", loc="left", color=_INK)
+    axes.set_title(f"{uavs}, {history.shape[1] - 1} steps", loc="left", color=INK)
     greys = LinearSegmentedColormap.from_list("roofs", ["#DDE1E6", "#59636E"])
     image = axes.imshow(
-        height, origin="lower", extent=_extent(grid), cmap=greys, vmin=0, vmax=_tallest(height)
+        height, origin="lower", extent=extent_m(grid), cmap=greys, vmin=0, vmax=_tallest(height)
     )
     if np.isfinite(height).any():
-        _colour_bar(figure, image, axes, "building height in m")
+        colour_bar(figure, image, axes, "building height in m")
     if scenario.no_fly is not None and scenario.no_fly.any():
         _no_fly(axes, outcome, scenario.no_fly)
     low = (scenario.city.height_m > 0) & ~scenario.city.obstructed(scenario.uav_altitude_m)
@@ -143,30 +149,30 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     many = len(history)
     aside = (np.arange(many) - (many - 1) / 2) * grid.spacing_m * min(0.16, 0.7 / many)
     thin = float(np.clip(6 / many, 0.4, 1.0))
-    ends = {"color": _INK, "ha": "center", "va": "center_baseline", "fontsize": 6.5, "zorder": 7}
+    ends = {"color": INK, "ha": "center", "va": "center_baseline", "fontsize": 6.5, "zorder": 7}
     joins = {"solid_joinstyle": "round", "solid_capstyle": "round"}
     colours = uav_colours(many)
     handles: list[Any] = []
     for uav, cells in enumerate(history):
         x, y = (grid.xy_m(cells) + aside[uav]).T
-        axes.plot(x, y, color=_INK, lw=2.6 * thin, alpha=0.55, zorder=3, **joins)
+        axes.plot(x, y, color=INK, lw=2.6 * thin, alpha=0.55, zorder=3, **joins)
         axes.plot(x, y, color=colours[uav], lw=1.5 * thin, zorder=4, **joins)
         for where, marker in ((0, "o"), (-1, "s")):
-            look = {"color": colours[uav], "mec": _INK, "mew": 1.1 * thin, "clip_on": False}
+            look = {"color": colours[uav], "mec": INK, "mew": 1.1 * thin, "clip_on": False}
             axes.plot(x[where], y[where], marker, ms=9 * max(thin, 0.5), zorder=6, **look)
             if 1 < many <= _NUMBERED:
                 axes.annotate(str(uav), (x[where], y[where]), annotation_clip=False, **ends)
         handles.append(Line2D([], [], color=colours[uav], lw=2.5, label=f"UAV {uav}"))
     _transmitter(axes, outcome)
-    _scale_and_north(axes, grid)
+    scale_and_north(axes, grid)
     handles = handles if many <= len(UAV_COLOURS) else []
     handles += [
-        Line2D([], [], ls="", marker=marker, color="white", mec=_INK, ms=7, label=label)
+        Line2D([], [], ls="", marker=marker, color="white", mec=INK, ms=7, label=label)
         for marker, label in (("o", "start"), ("s", "end"))
     ]
     if outcome.transmitter_m is not None and _on_map(outcome):
         handles.append(
-            Line2D([], [], ls="", marker="*", color="#FFD23F", mec=_INK, ms=12, label="transmitter")
+            Line2D([], [], ls="", marker="*", color="#FFD23F", mec=INK, ms=12, label="transmitter")
         )
     if scenario.no_fly is not None and scenario.no_fly.any():
         handles.append(Patch(fc=(0.70, 0.15, 0.12, 0.10), ec="#B3261E", lw=0.8, label="no-fly"))
@@ -199,7 +205,7 @@ def rmse_picture(outcome: Outcome, path: Path) -> None:
         if np.isfinite(outcome.scores.get(n, [])).any()
     ]
     for number, name in enumerate(names):
-        colour = {"mean_std_db": _SOFT}.get(name, _LINE_COLOURS[number])
+        colour = {"mean_std_db": SOFT}.get(name, _LINE_COLOURS[number])
         style = {"mean_std_db": "--"}.get(name, "-")
         values = outcome.scores[name]
         label = (
@@ -216,7 +222,7 @@ def rmse_picture(outcome: Outcome, path: Path) -> None:
         axes.legend(frameon=False)
     else:
         axes.text(
-            0.5, 0.5, "no scores were recorded", transform=axes.transAxes, ha="center", color=_SOFT
+            0.5, 0.5, "no scores were recorded", transform=axes.transAxes, ha="center", color=SOFT
         )
     _save(figure, path)
 
@@ -297,7 +303,7 @@ def _figure(size: tuple[float, float], outcome: Outcome | None = None) -> Figure
             _shortened(outcome.title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …"
         )
         figure.suptitle(
-            title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=_INK, parse_math=False
+            title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK, parse_math=False
         )
     return figure
 
@@ -311,15 +317,15 @@ def _map(
     axes: Axes, outcome: Outcome, values: NDArray[np.float64], title: str, **colours: Any
 ) -> Any:
     """One map with the buildings over it; returns the image for its colour bar."""
-    _frame_axes(axes, outcome)
-    axes.set_title(title, loc="left", color=_INK)
+    frame_axes(axes, outcome.grid)
+    axes.set_title(title, loc="left", color=INK)
     image = axes.imshow(
-        values, origin="lower", extent=_extent(outcome.grid), interpolation="nearest", **colours
+        values, origin="lower", extent=extent_m(outcome.grid), interpolation="nearest", **colours
     )
     axes.imshow(
         _building_shades(outcome),
         origin="lower",
-        extent=_extent(outcome.grid),
+        extent=extent_m(outcome.grid),
         interpolation="nearest",
     )
     return image
@@ -367,7 +373,7 @@ def _no_fly(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_]) -> None:
 
     tint = np.zeros((*mask.shape, 4))
     tint[mask] = (0.70, 0.15, 0.12, 0.10)
-    axes.imshow(tint, origin="lower", extent=_extent(outcome.grid), interpolation="nearest")
+    axes.imshow(tint, origin="lower", extent=extent_m(outcome.grid), interpolation="nearest")
     grid, half = outcome.grid, outcome.grid.spacing_m / 2
     upper = grid.xy_m(np.argwhere(mask[1:] != mask[:-1]))[:, None] + [(-half, half), (half, half)]
     right = grid.xy_m(np.argwhere(mask[:, 1:] != mask[:, :-1]))[:, None] + [
@@ -403,87 +409,15 @@ def _on_map(outcome: Outcome) -> bool:
     return bool(west <= x <= east and south <= y <= north)
 
 
-def _frame_axes(axes: Axes, outcome: Outcome) -> None:
-    """Metre axes; with a CRS the ticks count from the south-west corner, since eastings run to
-    millions."""
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
-
-    west, south, east, north = outcome.grid.bounds_m
-    axes.set(xlim=(west, east), ylim=(south, north), aspect="equal", facecolor=_GROUND)
-    georeferenced = outcome.grid.crs is not None
-    for axis, start, side, text in (
-        (axes.xaxis, west, east - west, "x east"),
-        (axes.yaxis, south, north - south, "y north"),
-    ):
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-        if georeferenced:
-            ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, side)
-            axis.set_ticks([start + t for t in ticks if 0 <= t <= side])
-            axis.set_major_formatter(
-                FuncFormatter(lambda value, _, start=start: f"{value - start:g}")
-            )
-        axis.set_label_text(
-            f"{text} in m" + (f" (from {start:.0f})" if georeferenced else ""), color=_SOFT
-        )
-    _quiet(axes)
-
-
-def _scale_and_north(axes: Axes, grid: Grid) -> None:
-    """A bar of a round length and an arrow to the north, in the south-west corner."""
-    from matplotlib.patheffects import withStroke
-
-    west, south, east, north = grid.bounds_m
-    wide, high = east - west, north - south
-    length = round_length(wide / 4)
-    x, y = west + 0.03 * wide, south + 0.03 * high
-    seen = [withStroke(linewidth=3.0, foreground="white")]
-    look = {"color": _INK, "zorder": 8, "path_effects": seen}
-    axes.plot([x, x + length], [y, y], lw=2.2, solid_capstyle="butt", **look)
-    text = {"fontsize": 8, "ha": "center", "va": "bottom", **look}
-    axes.text(x + length / 2, y + 0.012 * high, f"{length:g} m", **text)
-    tip = x + length + 0.05 * wide
-    axes.plot([tip, tip], [y, y + 0.055 * high], lw=1.4, **look)
-    axes.plot(tip, y + 0.055 * high, "^", ms=5, **look)
-    axes.text(tip, y + 0.07 * high, "N", **text)
-
-
-def round_length(metres: float) -> float:
-    """The longest of 1, 2 or 5 times a power of ten that is not longer.
-
-    >>> [round_length(m) for m in (72, 0.3, 199)]
-    [50.0, 0.2, 100.0]
-    """
-    power = 10.0 ** np.floor(np.log10(metres))
-    return float(max(m * power for m in (1, 2, 5) if m * power <= metres * (1 + 1e-9)))
-
-
 def _curve_axes(axes: Axes, unit: str, title: str) -> None:
-    axes.set_title(title, loc="left", color=_INK)
-    axes.set_xlabel("steps per UAV", color=_SOFT)
-    axes.set_ylabel(unit, color=_SOFT)
+    axes.set_title(title, loc="left", color=INK)
+    axes.set_xlabel("steps per UAV", color=SOFT)
+    axes.set_ylabel(unit, color=SOFT)
     axes.grid(True, color="#E3E7EB", lw=0.8)
     axes.set_axisbelow(True)
     axes.margins(x=0.02)
     axes.spines[["top", "right"]].set_visible(False)
-    _quiet(axes)
-
-
-def _quiet(axes: Axes) -> None:
-    axes.tick_params(color="#B8C0C8", labelcolor=_SOFT, labelsize=9)
-    for spine in axes.spines.values():
-        spine.set_color("#B8C0C8")
-
-
-def _colour_bar(figure: Figure, image: Any, axes: Axes, text: str, extend: str = "neither") -> None:
-    bar = figure.colorbar(image, ax=axes, shrink=0.86, aspect=28, pad=0.02, extend=extend)
-    bar.set_label(text, color=_SOFT)
-    bar.outline.set_edgecolor("#B8C0C8")
-    bar.ax.tick_params(color="#B8C0C8", labelcolor=_SOFT, labelsize=9)
-
-
-def _extent(grid: Any) -> tuple[float, float, float, float]:
-    west, south, east, north = grid.bounds_m
-    return west, east, south, north
+    quiet(axes)
 
 
 def _tallest(height: NDArray[np.floating]) -> float:

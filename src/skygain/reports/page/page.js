@@ -168,8 +168,8 @@ async function main() {
     g.rect(margin.left, margin.top, width, height);
     g.clip();
     drawNoFly(g);
-    drawUavs(g, Math.max(5.5, Math.min(9.5, width / 62)));
     g.restore();
+    drawUavs(g, Math.max(5.5, Math.min(9.5, width / 62))); // whole at the edge of the map
     drawTransmitter(g, margin, width, height, perMetre);
     drawScale(g, margin.left + 12, margin.top + height - 12, width, perMetre);
     if (state.hover !== null) {
