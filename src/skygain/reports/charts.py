@@ -380,7 +380,8 @@ def _picture(
     shown = list(charts[:6])
     figure = Figure(figsize=(15.5, 4.9 * len(shown)), layout="constrained", dpi=110)
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK)
+    bold = {"fontsize": 14, "fontweight": "bold", "color": INK, "parse_math": False}
+    figure.suptitle(title, x=0.01, ha="left", **bold)
     grid = shown[0].grid
     rows = figure.subplots(len(shown), 3, squeeze=False, sharex=True, sharey=True)
     for axes, chart in zip(rows, shown, strict=True):
@@ -407,7 +408,7 @@ def _picture(
             (unit, unit, "standard deviation in dB"),
             strict=True,
         ):
-            panel.set_title(name, loc="left", color=INK)
+            panel.set_title(name, loc="left", color=INK, parse_math=False)
             beyond = "neither" if image is std else "both"
             colour_bar(figure, image, panel, label, extend=beyond)
             frame_axes(panel, grid)
