@@ -28,6 +28,7 @@ from skygain.propagation.launching.following import (
 )
 from skygain.propagation.launching.geometry import Geometry
 from skygain.propagation.launching.pieces import MOST, inside
+from skygain.propagation.launching.rays import signature
 
 _BESIDE_M = 1.0
 """a corner is looked for in every cell that comes this near to it: a beam is never half as wide"""
@@ -138,6 +139,52 @@ def strengths(book, altitude, field, pattern, table, ground):
 
 
 @numba.njit(cache=True, nogil=True)
+def _divided(xy, faces, fans, halvings, compared, world, fan):
+    """The azimuths round a corner, outside its building: ``fan[part, (middle, width)]``.
+
+    As in the launch an interval is halved while its borders meet different walls.
+    """
+    step = 2.0 * math.pi / fans
+    todo = np.empty((halvings + 2, 2))
+    level = np.empty(halvings + 2, dtype=np.int64)
+    parts = 0
+    for number in range(fans):
+        middle = (number + 0.5) * step
+        if _inside_wedge(middle, faces):
+            continue
+        todo[0, 0], todo[0, 1], level[0] = number * step, step, 0
+        n = 1
+        while n:
+            n -= 1
+            low, width, deep = todo[n, 0], todo[n, 1], level[n]
+            if deep < halvings and (
+                _mark(low, xy, compared, world) != _mark(low + width, xy, compared, world)
+            ):
+                for half in range(2):
+                    todo[n, 0], todo[n, 1] = low + half * 0.5 * width, 0.5 * width
+                    level[n] = deep + 1
+                    n += 1
+                continue
+            if not _inside_wedge(low + 0.5 * width, faces):
+                fan[parts, 0], fan[parts, 1] = low + 0.5 * width, width
+                parts += 1
+    return parts
+
+
+@numba.njit(cache=True, nogil=True)
+def _inside_wedge(azimuth, faces):
+    x, y = math.cos(azimuth), math.sin(azimuth)
+    return x * faces[0, 0] + y * faces[0, 1] <= 1e-9 and x * faces[1, 0] + y * faces[1, 1] <= 1e-9
+
+
+@numba.njit(cache=True, nogil=True)
+def _mark(azimuth, xy, compared, world):
+    """The walls that a ray from just beside the corner meets."""
+    place = np.array([xy[0] + 2e-3 * math.cos(azimuth), xy[1] + 2e-3 * math.sin(azimuth)])
+    return signature(azimuth, place, compared, world)
+
+
+@numba.njit(cache=True, nogil=True)
 def fan_out(
     chosen,
     book,
@@ -145,6 +192,8 @@ def fan_out(
     faces_of,
     material_of,
     fans,
+    halvings,
+    compared,
     most,
     field,
     pattern,
@@ -158,13 +207,14 @@ def fan_out(
     closed_book,
     out,
 ):
-    """Send a fan of ``fans`` azimuths from the corner of each chosen arrival."""
+    """Send a fan of azimuths from the corner of each chosen arrival, corner by corner."""
     xy = book[3]
     _count, numbers_of, lengths_of, met_of, kinds_of, slopes_of = book[5:]
     scratch = new_scratch(len(altitudes))
     place, slopes, counts, met, kinds, _entered, _entered_s, _lanes, _numbers = scratch
-    width = 2.0 * math.pi / fans
     plan = np.empty(4)
+    fan = np.empty((fans * 2**halvings, 2))
+    before, parts = -1, 0
     left = np.empty((MOST, 2))
     for arrival in chosen:
         corner, w = numbers_of[arrival, 0], numbers_of[arrival, 1]
@@ -184,13 +234,12 @@ def fan_out(
             continue
         bend = bend_of(w, faces, plan, wave_number, transition)
         physics = (field, pattern, lengths_of[arrival, 5], table, ground)
-        for number in range(fans):
-            azimuth = (number + 0.5) * width
+        if corner != before:
+            before = corner
+            parts = _divided(xy[corner], faces, fans, halvings, compared, world, fan)
+        for number in range(parts):
+            azimuth, width = fan[number, 0], fan[number, 1]
             ox, oy = math.cos(azimuth), math.sin(azimuth)
-            out0 = ox * faces[0, 0] + oy * faces[0, 1]
-            out1 = ox * faces[1, 0] + oy * faces[1, 1]
-            if out0 <= 1e-9 and out1 <= 1e-9:
-                continue
             plan[2], plan[3] = ox, oy
             begin(scratch, xy[corner, 0], xy[corner, 1], z, azimuth)
             place[0, 4], place[0, 6], place[0, 7] = s, 1e-3, lengths_of[arrival, 2]

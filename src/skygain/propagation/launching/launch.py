@@ -80,8 +80,10 @@ class Launching:
     """material of the ground"""
     combined: bool = False
     """whether paths reflect before and after a diffraction at a vertical corner"""
-    fans: int = 1024
-    """azimuths round a corner where paths are combined"""
+    fans: int = 512
+    """azimuths round a corner, before intervals are halved, where paths are combined"""
+    fan_halvings: int = 3
+    """how often these intervals are halved"""
     weakest_db: float = 40.0
     """arrivals weaker than this below the strongest of a corner are left out"""
     threads: int = 1
@@ -94,7 +96,8 @@ class Launching:
             "halvings": (0, 12),
             "compared_walls": (0, 8),
             "points": (1, 64),
-            "fans": (16, 2**20),
+            "fans": (16, 2**16),
+            "fan_halvings": (0, 8),
             "threads": (1, 1024),
         }
         for name, (least, most) in whole.items():
@@ -122,7 +125,8 @@ class Launching:
         """What decides the numbers, for the attributes of a file."""
         facts = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "threads"}
         if not self.combined:
-            del facts["combined"], facts["fans"], facts["weakest_db"]
+            for name in ("combined", "fans", "fan_halvings", "weakest_db"):
+                del facts[name]
         model = "launch-combined" if self.combined else "launch"
         return {"model": model, "model_version": MODEL_VERSION, **facts}
 
@@ -278,9 +282,10 @@ class _Launch:
         for c, power in zip(corner, found, strict=True):
             np.maximum.at(best, c, power)
         share = 10 ** (-self.settings.weakest_db / 10)
-        return [
+        kept = [
             np.flatnonzero(power >= share * best[c]) for c, power in zip(corner, found, strict=True)
         ]
+        return [k[np.argsort(c[k], kind="stable")] for c, k in zip(corner, kept, strict=True)]
 
     def _fans(
         self,
@@ -296,6 +301,8 @@ class _Launch:
             corners.faces,
             corners.material,
             self.settings.fans,
+            self.settings.fan_halvings,
+            min(self.settings.compared_walls, 3),
             self.settings.max_reflections,
             self.antenna.field,
             self.antenna.pattern,

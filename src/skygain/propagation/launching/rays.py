@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["launch_sector"]
+__all__ = ["launch_sector", "signature"]
 
 import math
 
@@ -15,7 +15,7 @@ from skygain.propagation.launching.walking import FAR, entry, next_wall
 
 
 @numba.njit(cache=True, nogil=True)
-def _signature(azimuth, source, depth, world):
+def signature(azimuth, source, depth, world):
     """The walls that the ray of an azimuth meets in plan, one after the other, as one number."""
     walls, _owner, first, listed, tallest, frame = world
     rows, cols = tallest.shape
@@ -98,10 +98,10 @@ def launch_sector(
     marks = np.empty((halvings + 2, 2), dtype=np.int64)
     level = np.empty(halvings + 2, dtype=np.int64)
     traced = 0
-    right = _signature(offset + begin * step, source, depth, world)
+    right = signature(offset + begin * step, source, depth, world)
     for number in range(begin, end):
         left = right
-        right = _signature(offset + (number + 1) * step, source, depth, world)
+        right = signature(offset + (number + 1) * step, source, depth, world)
         todo[0, 0], todo[0, 1] = offset + number * step, step
         marks[0, 0], marks[0, 1], level[0] = left, right, 0
         n = 1
@@ -111,7 +111,7 @@ def launch_sector(
             mark_low, mark_high = marks[n, 0], marks[n, 1]
             middle = low + 0.5 * width
             if mark_low != mark_high and deep < halvings:
-                mark = _signature(middle, source, depth, world)
+                mark = signature(middle, source, depth, world)
                 todo[n, 0], todo[n, 1], level[n] = middle, 0.5 * width, deep + 1
                 marks[n, 0], marks[n, 1] = mark, mark_high
                 todo[n + 1, 0], todo[n + 1, 1], level[n + 1] = low, 0.5 * width, deep + 1
