@@ -25,6 +25,7 @@ from typing import Any
 from benchmarks.record import RESULTS, Record, Table
 from skygain.evaluation.statistics import Interval
 from skygain.ground.errors import InputError
+from skygain.ground.files import file_digest
 from skygain.ground.strict_json import plain
 
 JOURNALS = Path("surveys/benchmarks")
@@ -71,6 +72,7 @@ class Run:
     _known: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._content = file_digest(self.data) if self.data.is_file() else ""
         if self.journal.exists():
             for line in self.journal.read_text(encoding="utf-8").splitlines():
                 try:
@@ -80,8 +82,9 @@ class Run:
                 self._known[key] = value
 
     def once(self, key: Sequence[Any], measure: Callable[[], Any]) -> Any:
-        """What ``measure`` returns, as plain data; kept under ``key`` and the data's name."""
-        name = json.dumps(plain([self.data.name, *key]))
+        """What ``measure`` returns, as plain data; kept under ``key`` and the data's name and
+        content."""
+        name = json.dumps(plain([self.data.name, self._content, *key]))
         if name not in self._known:
             value = plain(measure())
             self._known[name] = value

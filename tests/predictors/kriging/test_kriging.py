@@ -87,6 +87,35 @@ def test_equals_gaussian_process_regression_of_scikit_learn(seed):
     np.testing.assert_allclose(posterior.covariance(cells), joint, atol=1e-6 * sill)
 
 
+@pytest.mark.parametrize("range_m", [4e3, 4e5, 4e7])
+def test_nearly_coincident_cells_are_told_apart_as_scikit_learn_does(range_m):
+    """Cells of 4 m under a correlation that reaches up to ten million of them."""
+    gaussian_process = pytest.importorskip("sklearn.gaussian_process")
+    rng = np.random.default_rng(3)
+    scenario, sill = open_ground(), 300.0
+    cells = np.argwhere(np.ones((6, 7), dtype=bool))[rng.permutation(42)[:30]]
+    difference = rng.standard_normal(len(cells)) * np.sqrt(2 * sill * 4.0 / range_m)
+    data = Measurements.at(cells, -100 + difference)
+    parameters = KrigingParameters.known_trend(27.0, 72.0, sill_db2=sill, range_m=range_m)
+    predictor = KrigingPredictor(parameters=parameters, refit=False)
+    posterior = predictor.begin(scenario).updated(data).posterior()
+
+    kernels = gaussian_process.kernels
+    kernel = kernels.ConstantKernel(sill, "fixed") * kernels.Matern(range_m, "fixed", nu=0.5)
+    xy = scenario.grid.xy_m(scenario.grid.cells)
+    line = trend_columns("log-distance", scenario.grid, 10.0, scenario.transmitter_m) @ [27.0, 72.0]
+    measured = scenario.grid.flat(cells)
+    peer = gaussian_process.GaussianProcessRegressor(kernel, alpha=1e-12 * sill, optimizer=None)
+    peer.fit(xy[measured], data.gain_db - line[measured])
+    mean, std = peer.predict(xy, return_std=True)
+    near = unmeasured(scenario, data)
+    near[8:] = False
+    near[:, 9:] = False
+    both = (posterior.mean_db - line.reshape(SHAPE))[near], posterior.std_db[near]
+    np.testing.assert_allclose(both[0], mean.reshape(SHAPE)[near], atol=1e-4)
+    np.testing.assert_allclose(both[1], std.reshape(SHAPE)[near], atol=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_equals_simple_kriging_of_gstools(seed):
     gstools = pytest.importorskip("gstools")
