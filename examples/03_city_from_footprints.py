@@ -29,13 +29,13 @@ scenario = Scenario(city, transmitter_m=transmitter)
 instrument = NoisyInstrument(truth, NoiseConfig(std_db=2.0), np.random.default_rng(2))
 survey = Survey(
     scenario,
-    create_predictor("kriging"),
+    create_predictor("kriging-blind"),
     create_planner("lawnmower"),
     instrument,
-    SurveyConfig(stop_std_db=8.0),
+    SurveyConfig(stop_std_db=6.0),
 )
 result = survey.fly(
-    Swarm.deployed(scenario, start_cells("cluster", scenario, 2, rng), steps=150), rng
+    Swarm.deployed(scenario, start_cells("cluster", scenario, 4, rng), steps=250), rng
 )
 
 error = (result.belief.posterior().mean_db - truth)[scenario.outdoor]

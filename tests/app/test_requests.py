@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 import skygain as sg
+from skygain.app.chart import run_map
 from skygain.app.cli import command_line, for_command_line
 from skygain.app.config import read_config
 from skygain.app.fly import fly, run_survey
-from skygain.app.requests import COMMANDS, SurveyRequest, TrainPredictorRequest
+from skygain.app.requests import COMMANDS, MapRequest, SurveyRequest, TrainPredictorRequest
 from skygain.ground.declared import Request, named, part
 from skygain.ground.errors import InputError
 from skygain.survey.requests import CityRequest
@@ -267,6 +268,18 @@ def test_the_latest_survey_is_replaced_but_nothing_else(tmp_path, monkeypatch) -
     results.write_text('{"mine": 1}')
     with pytest.raises(InputError, match="overwrite"):
         run_survey(QUICK)
+
+
+def test_the_latest_map_is_replaced_but_nothing_else(tmp_path, monkeypatch) -> None:
+    campaign = Path(__file__).parents[2] / "examples" / "data" / "campaign.csv"
+    monkeypatch.chdir(tmp_path)
+    request = MapRequest(readings=(campaign,), where={"pci": "101"}, validate=False, spacing_m=8.0)
+    run_map(request)
+    assert "readings in" in run_map(replace(request, threshold_db=-100.0))
+    results = tmp_path / "maps" / "latest" / "results.json"
+    results.write_text('{"mine": 1}')
+    with pytest.raises(InputError, match="overwrite"):
+        run_map(request)
 
 
 def test_a_refused_request_leaves_nothing_to_go_on_with(tmp_path) -> None:

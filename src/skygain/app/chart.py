@@ -7,11 +7,12 @@ __all__ = ["chart", "run_map"]
 from typing import TYPE_CHECKING
 
 from skygain.app.progress import Progress
-from skygain.app.requests import MapRequest
+from skygain.app.requests import LATEST_MAP, MapRequest
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.ground.files import writable_folder
 from skygain.ground.journal import locked
+from skygain.ground.strict_json import holds
 from skygain.instruments import grid_for, joined, on_grid, read_recording, read_series
 from skygain.instruments.recording import Recording
 from skygain.survey.mapping import RadioMap, next_places, radio_map
@@ -39,12 +40,15 @@ def run_map(request: MapRequest, progress: Progress | None = None) -> str:
     from skygain.reports.charts import FILES
 
     out = request.out
-    if (out / "results.json").exists() and not request.overwrite:
+    replaced = request.overwrite or (
+        out == LATEST_MAP and holds(out / "results.json", "config", "series")
+    )
+    if (out / "results.json").exists() and not replaced:
         raise InputError(
             f"{out} already holds results; give another `out`, or `overwrite=True` to replace them"
         )
     for name in FILES:
-        if (out / name).exists() and not request.overwrite:
+        if (out / name).exists() and not replaced:
             raise InputError(
                 f"{out / name} is there already and no map wrote it; give another `out`, or "
                 "`overwrite=True` to replace it"

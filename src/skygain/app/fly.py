@@ -4,7 +4,6 @@ from __future__ import annotations
 
 __all__ = ["fly", "run_survey"]
 
-import json
 import shutil
 import subprocess
 from dataclasses import dataclass, replace
@@ -26,7 +25,7 @@ from skygain.ground.declared import part
 from skygain.ground.errors import InputError
 from skygain.ground.files import file_digest, writable_folder
 from skygain.ground.journal import Journal, locked
-from skygain.ground.strict_json import plain
+from skygain.ground.strict_json import holds, plain
 from skygain.instruments.base import Instrument
 from skygain.reports.flown import Flown
 from skygain.reports.folder import FILES
@@ -102,7 +101,9 @@ def _check_folder(request: SurveyRequest) -> None:
     out = request.out
     if request.overwrite:
         return
-    if (out / "results.json").exists() and not (out == LATEST and _whole(out)):
+    if (out / "results.json").exists() and not (
+        out == LATEST and holds(out / "results.json", "config", "scores_over_steps")
+    ):
         raise InputError(
             f"{out} already holds the results of a survey; give another `out`, or "
             "`overwrite=True` to replace them"
@@ -118,15 +119,6 @@ def _check_folder(request: SurveyRequest) -> None:
                 f"{out / name} is there already and no survey wrote it; give another `out`, or "
                 "`overwrite=True` to replace it"
             )
-
-
-def _whole(folder: Path) -> bool:
-    """Whether a survey wrote the results in ``folder``."""
-    try:
-        results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(results, dict) and {"config", "scores_over_steps"} <= results.keys()
 
 
 def _journal(request: SurveyRequest) -> Journal:

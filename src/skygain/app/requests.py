@@ -17,6 +17,7 @@ __all__ = [
     "ExportOnnxRequest",
     "InspectRequest",
     "LATEST",
+    "LATEST_MAP",
     "MapRequest",
     "MethodsRequest",
     "SurveyRequest",
@@ -43,7 +44,9 @@ from skygain.survey.requests import (
 )
 
 LATEST = Path("surveys/latest")
-"""where results go unless told otherwise"""
+"""where a survey goes unless told otherwise"""
+LATEST_MAP = Path("maps/latest")
+"""where a map of a campaign goes unless told otherwise"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +122,8 @@ class MapRequest(CityRequest, RecordingRequest):
     """predict readings that are left out"""
     seed: int = 0
     """draws the readings that are left out"""
-    out: Path = named(Path("maps/latest"), stored=False)
-    """folder for the results"""
+    out: Path = named(LATEST_MAP, stored=False)
+    """folder for the results; a map in maps/latest is replaced by the next"""
     overwrite: bool = named(False, stored=False)
     """replace results that the folder already holds"""
 

@@ -3,7 +3,7 @@ change."""
 
 from __future__ import annotations
 
-__all__ = ["json_text", "plain"]
+__all__ = ["holds", "json_text", "plain"]
 
 import json
 import math
@@ -31,6 +31,15 @@ def json_text(content: Any) -> str:
     }
     """
     return _pretty(plain(content), "") + "\n"
+
+
+def holds(path: Path, *keys: str) -> bool:
+    """Whether the file ``path`` is a JSON object with all of these keys."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and content.keys() >= set(keys)
 
 
 def plain(value: Any) -> Any:
