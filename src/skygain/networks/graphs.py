@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 
 from skygain.ground.errors import InputError
@@ -79,7 +79,7 @@ class _Graph:
         return self.weights.arrays[name].shape
 
     def constant(self, value: ArrayLike, kind: type = np.float32) -> str:
-        array = np.asarray(value, dtype=kind)
+        array: NDArray[Any] = np.asarray(value, dtype=kind)
         name = f"constant_{len(self.used)}"
         self.used[name] = numpy_helper.from_array(array, name)
         return name

@@ -62,9 +62,9 @@ def scale_and_north(axes: Axes, grid: Grid) -> None:
     length = round_length(wide / 4)
     x, y = west + 0.03 * wide, south + 0.03 * high
     seen = [withStroke(linewidth=3.0, foreground="white")]
-    look = {"color": INK, "zorder": 8, "path_effects": seen}
+    look: dict[str, Any] = {"color": INK, "zorder": 8, "path_effects": seen}
     axes.plot([x, x + length], [y, y], lw=2.2, solid_capstyle="butt", **look)
-    text = {"fontsize": 8, "ha": "center", "va": "bottom", **look}
+    text: dict[str, Any] = {"fontsize": 8, "ha": "center", "va": "bottom", **look}
     axes.text(x + length / 2, y + 0.012 * high, f"{length:g} m", **text)
     tip = x + length + 0.05 * wide
     axes.plot([tip, tip], [y, y + 0.055 * high], lw=1.4, **look)

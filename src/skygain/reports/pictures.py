@@ -149,8 +149,9 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     many = len(history)
     aside = (np.arange(many) - (many - 1) / 2) * grid.spacing_m * min(0.16, 0.7 / many)
     thin = float(np.clip(6 / many, 0.4, 1.0))
-    ends = {"color": INK, "ha": "center", "va": "center_baseline", "fontsize": 6.5, "zorder": 7}
-    joins = {"solid_joinstyle": "round", "solid_capstyle": "round"}
+    ends: dict[str, Any] = {"color": INK, "ha": "center", "va": "center_baseline"}
+    ends |= {"fontsize": 6.5, "zorder": 7}
+    joins: dict[str, Any] = {"solid_joinstyle": "round", "solid_capstyle": "round"}
     colours = uav_colours(many)
     handles: list[Any] = []
     for uav, cells in enumerate(history):
@@ -158,7 +159,8 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
         axes.plot(x, y, color=INK, lw=2.6 * thin, alpha=0.55, zorder=3, **joins)
         axes.plot(x, y, color=colours[uav], lw=1.5 * thin, zorder=4, **joins)
         for where, marker in ((0, "o"), (-1, "s")):
-            look = {"color": colours[uav], "mec": INK, "mew": 1.1 * thin, "clip_on": False}
+            look: dict[str, Any] = {"color": colours[uav], "mec": INK, "clip_on": False}
+            look["mew"] = 1.1 * thin
             axes.plot(x[where], y[where], marker, ms=9 * max(thin, 0.5), zorder=6, **look)
             if 1 < many <= _NUMBERED:
                 axes.annotate(str(uav), (x[where], y[where]), annotation_clip=False, **ends)
@@ -191,7 +193,7 @@ def uav_colours(uavs: int) -> list[str]:
         return list(UAV_COLOURS[:uavs])
     hue = (np.arange(uavs) * 0.618034) % 1.0
     value = np.where(np.arange(uavs) % 2, 0.92, 0.72)
-    return [to_hex(hsv_to_rgb((h, 0.75, v))) for h, v in zip(hue, value, strict=True)]
+    return [to_hex(tuple(hsv_to_rgb((h, 0.75, v)))) for h, v in zip(hue, value, strict=True)]
 
 
 def rmse_picture(outcome: Outcome, path: Path) -> None:

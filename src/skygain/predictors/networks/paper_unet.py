@@ -59,8 +59,10 @@ class PaperUNetPredictor(Predictor):
         rows, cols = gain.shape[1:]
         room = ((0, 0), (0, PAPER_SIDE - rows), (0, PAPER_SIDE - cols))
         heights = np.stack([s.city.height_m for s in scenarios])
-        maps = (np.pad(m, room) for m in (heights, gain, measured))
-        mean, log_variance = self._network(paper_inputs(*maps, blind=self.blind))
+        inputs = paper_inputs(
+            np.pad(heights, room), np.pad(gain, room), np.pad(measured, room), blind=self.blind
+        )
+        mean, log_variance = self._network(inputs)
         return mean[:, :rows, :cols], np.exp(log_variance[:, :rows, :cols])
 
 
