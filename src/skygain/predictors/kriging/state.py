@@ -136,9 +136,10 @@ class KrigingState:
         variance = process.kernel.variance_db2 - white @ white + added
         if variance <= KNOWN * process.kernel.variance_db2:
             return self
+        expected, doubt = float(mean), float(variance)
         if added > FLAT_DB2 / 2:  # no reading has told the level yet: it is taken to be the floor's
-            mean, variance = np.asarray(floor_db), np.asarray(process.kernel.variance_db2)
-        pseudo = floor_reading(float(mean), float(variance), floor_db, noise_db2)
+            expected, doubt = floor_db, process.kernel.variance_db2
+        pseudo = floor_reading(expected, doubt, floor_db, noise_db2)
         if pseudo is None:
             return self
         return self._with_batch(
