@@ -53,6 +53,8 @@ READINGS_PER_MAP = 3
 """an update computes a new candidate's map for so many readings"""
 MAPS_AT_ONCE = 16
 """but never more than this"""
+NETWORKS_BYTES = 4e8
+"""what the networks take while they compute"""
 FIRST_WORK = 8_000_000
 """largest number of first candidates × cells of the map, which is what their maps cost in time and
 memory"""
@@ -119,7 +121,8 @@ class OperatorPredictor(Predictor):
         """Each reading is tied to every cell in a buffer that doubles when it is full; each
         candidate has two maps, which are first computed in single precision."""
         first = min(self.settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // cells))
-        return super().memory_bytes(cells, readings) + (12.0 * readings + 12.0 * first) * cells
+        held = (12.0 * readings + 12.0 * first) * cells
+        return super().memory_bytes(cells, readings) + held + NETWORKS_BYTES
 
     def begin(self, scenario: Scenario) -> OperatorBelief:
         """The belief before the first measurement; evaluates all first candidates unless this city
