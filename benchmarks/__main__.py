@@ -5,6 +5,7 @@ import sys
 from benchmarks import (  # noqa: F401 - each registers its studies
     calibration,
     cities,
+    combined,
     evaluations,
     kriging,
     measured,
