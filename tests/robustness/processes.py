@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-TRIALS = int(os.environ.get("SKYGAIN_TRIALS", "2"))
+TRIALS = int(os.environ.get("SKYGAIN_TRIALS", "1"))
 SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP]
 
 
