@@ -1,7 +1,7 @@
 # Two targets do everything on a fresh Debian machine with Python 3.11 or newer: `make demo` and `make test`.
 PYTHON ?= python3
-# Pins hold for these two; pyproject.toml has the ranges that should work. CONSTRAINTS=constraints-newest.txt
-# takes the newest releases instead, for Python 3.13.
+# Pins for Python 3.11; pyproject.toml has the ranges that should work. constraints-newest.txt has the
+# newest releases on Python 3.13, without PyTorch: make demo PYTHON=python3.13 CONSTRAINTS=constraints-newest.txt
 CONSTRAINTS ?= constraints.txt
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-compile --constraint $(CONSTRAINTS)
