@@ -30,7 +30,7 @@ result = survey.fly(
 for frame in recorder.frames:
     print(
         f"after {frame.step:3d} steps: RMSE {frame.scores['rmse_db']:5.2f} dB, predicted "
-        f"{frame.scores['mean_std_db']:5.2f} dB"
+        f"{frame.scores['expected_rmse_db']:5.2f} dB"
     )
 
 assert recorder.frames[-1].scores["rmse_db"] < recorder.frames[0].scores["rmse_db"]

@@ -86,6 +86,11 @@ class Posterior(Shown):
         """``[row, col]`` standard deviation."""
         return np.sqrt(self.variance_db2)
 
+    def expected_rmse_db(self, where: NDArray[np.bool_]) -> float:
+        """Root mean square of the standard deviation over the cells ``where[row, col]``: what the
+        root mean squared error there is, if the belief is right about itself."""
+        return float(np.sqrt(self.variance_db2[where].mean()))
+
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
         """Central credible interval: (low, high), each ``[row, col]``, that holds the gain with
         probability ``level``."""

@@ -29,6 +29,7 @@ def test_scores_of_a_calibrated_posterior(rng: np.random.Generator) -> None:
     assert scores["coverage90"] == pytest.approx(0.9, abs=0.01)
     assert scores["nll"] == pytest.approx(-stats.norm(-100, std).logpdf(truth).mean())
     assert scores["rmse_db"] == pytest.approx(np.sqrt(np.mean((truth + 100) ** 2)))
+    assert scores["expected_rmse_db"] == pytest.approx(scores["rmse_all_db"], rel=0.02)
 
 
 def test_each_rmse_counts_its_own_cells() -> None:

@@ -208,7 +208,7 @@ def test_results_are_strict_sorted_json(make_outcome: Make, tmp_path: Path) -> N
     assert results["config"] == {"a": 1.5, "b": {"nan": None, "path": "x"}}
     assert results["survey"]["steps_flown"] == 30
     assert results["scores_over_steps"]["step"] == [0, 5, 10, 15, 20, 25, 30]
-    assert len(results["scores_over_steps"]["mean_std_db"]) == 7
+    assert len(results["scores_over_steps"]["expected_rmse_db"]) == 7
     assert list(results) == sorted(results)
     assert text == json_text(results)  # reading and writing again changes nothing
 

@@ -83,7 +83,7 @@ def test_the_observer_sees_every_step(flight: tuple) -> None:
 def test_stops_early_once_certain_enough(flight: tuple) -> None:
     survey, swarm, _ = flight
     full = survey.fly(swarm, np.random.default_rng(1))
-    certain = float(full.belief.posterior().std_db[survey.scenario.outdoor].mean()) + 0.3
+    certain = full.posterior.expected_rmse_db(survey.scenario.outdoor) + 0.3
     early = Survey(
         survey.scenario,
         survey.predictor,
@@ -94,7 +94,7 @@ def test_stops_early_once_certain_enough(flight: tuple) -> None:
     result = early.fly(swarm, np.random.default_rng(1))
     assert result.stopped == "stop-std"
     assert result.swarm.steps_flown < 30
-    assert result.belief.posterior().std_db[survey.scenario.outdoor].mean() < certain
+    assert result.posterior.expected_rmse_db(survey.scenario.outdoor) < certain
     with pytest.raises(InputError, match="above 0"):
         SurveyConfig(stop_std_db=0.0)
 

@@ -10,6 +10,9 @@ from skygain.datasets.writer import write_dataset
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.predictors.kriging.parameters import TRENDS
+from skygain.survey.methods import MethodSpec, predictor
+from skygain.survey.origins import method_files
+from skygain.testing.predictors import example_scenario
 from skygain.training.kriging import KrigingConfig, train_kriging
 
 QUICK = KrigingConfig(crop=32, flight_cells=60, scattered_cells=60, rounds=2)
@@ -73,3 +76,26 @@ def test_a_stopped_fit_goes_on(tmp_path, fields):
     assert {line["trend"] for line in said} == {last}
     with pytest.raises(InputError, match="other settings"):
         train_kriging(fields, tmp_path / "parts.json", KrigingConfig(crop=16))
+
+
+@pytest.mark.parametrize("name", ["kriging", "kriging-blind", "kriging-inferred"])
+def test_written_parameters_fly_by_their_file(tmp_path, fields, name):
+    path = tmp_path / "k.json"
+    trained = train_kriging(fields, path, QUICK)["trends"]
+    made = predictor(f"{name}:parameters={path}")
+    scenario = example_scenario()
+    begun, shipped = (p.begin(scenario) for p in (made, predictor(name)))
+    trend = "constant" if name == "kriging-blind" else "log-distance"
+    assert begun.parameters.sill_db2 == trained[trend]["10"]["sill_db2"]
+    assert begun.parameters.sill_db2 != shipped.parameters.sill_db2
+    assert method_files(MethodSpec(f"{name}:parameters={path}", "lawnmower")).keys() == {"k.json"}
+
+
+def test_other_files_are_no_parameters(tmp_path):
+    other = tmp_path / "other.json"
+    for text in ("{}", "no JSON", "[1]", json.dumps({"trends": dict.fromkeys(TRENDS, {})})):
+        other.write_text(text)
+        with pytest.raises(InputError, match="skygain train kriging"):
+            predictor(f"kriging:parameters={other}")
+    with pytest.raises(InputError, match="nowhere.json"):
+        predictor("kriging:parameters=nowhere.json")

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 WORTH_TELLING = 1e9
 """bytes of memory from which they are told before the flight"""
+LEVEL_LABELS = {True: "channel gain in dB", False: "received power in dBm"}
+"""what a map shows, by whether readings are gains"""
 JOURNAL = "flight.jsonl"
 """name of the file that keeps a flight while it is under way"""
 
@@ -169,6 +171,10 @@ def fly(
         progress.note(f"  {line}")
     scenario = method.visible(whole, predictor)
     _need_transmitter(scenario, predictor, method)
+    unlike = predictor.outside_training(scenario, uavs=request.uavs, quantity=setting.quantity)
+    if unlike:
+        progress.note(unlike)
+        notes = (*notes, unlike)
     cells = start_cells(request.start, scenario, request.uavs, np.random.default_rng(start_seed))
     swarm = Swarm.deployed(scenario, cells, request.steps, request.rules)
 
@@ -200,7 +206,7 @@ def fly(
         title=f"{setting.title}: {method.label}, {uavs}",
         config=_resolved(request, method),
         true_transmitter_m=setting.transmitter_m,
-        level_label=setting.level_label,
+        level_label=LEVEL_LABELS[setting.quantity == "gain"],
         notes=notes,
         source=setting.source,
     )
@@ -223,7 +229,7 @@ class _Setting:
     ray_traced: NDArray[np.bool_] | None
     transmitter_m: tuple[float, float, float] | None
     title: str
-    level_label: str = "channel gain in dB"
+    quantity: str = "gain"
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
     generators: tuple[np.random.Generator, ...] = ()
@@ -292,7 +298,6 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
             f"{scenario.altitude_text}",
         )
     title = f"Recorded campaign {Path(str(request.replay)).name}, {len(gridded)} cells"
-    label = "channel gain in dB" if gridded.quantity == "gain" else "received power in dBm"
     return _Setting(
         scenario,
         ReplayInstrument(gridded),
@@ -300,7 +305,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
         None,
         transmitter,
         title,
-        label,
+        gridded.quantity,
         notes,
         reading.as_data() if reading else None,
     )

@@ -61,7 +61,8 @@ def score(
     - ``nll``: mean negative log likelihood in nats per cell; ``crps_db``: mean continuous ranked
       probability score
     - ``coverage50``, ``coverage90``: share of cells inside the 50 % and 90 % interval
-    - ``mean_std_db``: mean predicted standard deviation over all outdoor cells
+    - ``expected_rmse_db``: root mean square of the predicted standard deviation over all outdoor
+      cells
     """
     known = np.isfinite(truth_db)
     error = np.where(known, posterior.mean_db - np.where(known, truth_db, 0.0), np.nan)
@@ -93,5 +94,5 @@ def score(
         scores |= dict.fromkeys(
             ("error_ratio", "gof", "nll", "crps_db", "coverage50", "coverage90"), math.nan
         )
-    scores["mean_std_db"] = float(posterior.std_db[outdoor].mean())
+    scores["expected_rmse_db"] = posterior.expected_rmse_db(outdoor)
     return scores

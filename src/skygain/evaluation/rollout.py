@@ -40,7 +40,7 @@ class Frame:
     paths: NDArray[np.int64]
     """``[uav, step + 1, (row, col)]`` flown so far"""
     scores: dict[str, float]
-    """see `skygain.evaluation.metrics.score`; only ``mean_std_db`` when no truth is known"""
+    """see `skygain.evaluation.metrics.score`; only ``expected_rmse_db`` when no truth is known"""
 
 
 @dataclass
@@ -74,7 +74,7 @@ class Recorder:
         posterior, outdoor = belief.posterior(), belief.scenario.outdoor
         visited = swarm.visited | belief.measurements.visited(outdoor.shape)
         if self.truth_db is None:
-            scores = {"mean_std_db": float(posterior.std_db[outdoor].mean())}
+            scores = {"expected_rmse_db": posterior.expected_rmse_db(outdoor)}
         else:
             scores = score(posterior, self.truth_db, outdoor, visited, self.ray_traced)
         empty = np.empty((0, 0), dtype=np.float32)

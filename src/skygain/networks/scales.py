@@ -13,6 +13,7 @@ __all__ = [
     "PAPER_LARGEST_STD_DB",
     "PAPER_SIDE",
     "SMALLEST_STD_DB",
+    "TRAINED_SPACING_M",
 ]
 
 FREE_SPACE_5GHZ_DB = -46.43
@@ -30,5 +31,7 @@ SMALLEST_STD_DB = 0.5
 LARGEST_STD_DB = 40.0
 PAPER_LARGEST_STD_DB = 60.0
 """standard deviations that a network can answer with"""
+TRAINED_SPACING_M = 4.0
+"""side of the cells of all training maps"""
 OPEN_LOGITS = 5.0
 """scale of the locator's correction"""

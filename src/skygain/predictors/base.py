@@ -50,6 +50,19 @@ class Predictor(ABC):
     def begin(self, scenario: Scenario) -> Belief:
         """The belief before the first measurement."""
 
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        """One line that says in what a survey is unlike all that the method was trained for; empty
+        where it is not, and for a method that adapts to its readings.
+
+        Args:
+            scenario: of the survey.
+            uavs: how many fly; ``None`` where nobody does.
+            quantity: what the readings are of, see `GriddedRecording.quantity`.
+        """
+        return ""
+
     def memory_bytes(self, cells: int, readings: int) -> float:
         """About what a survey takes at most that reads ``readings`` of a map's ``cells``; a method
         that holds more than some maps says so."""

@@ -446,7 +446,7 @@ def _results(
                 "predictor": chart.predictor,
                 "readings": int(chart.gridded.count.sum()),
                 "measured_cells": len(chart.gridded),
-                "mean_std_db": float(np.nanmean(chart.std_db)),
+                "expected_rmse_db": float(np.sqrt(np.nanmean(chart.std_db**2))),
                 "covered": None
                 if threshold is None
                 else float((chart.mean_db[chart.wanted] >= threshold).mean()),

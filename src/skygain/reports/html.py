@@ -110,12 +110,12 @@ def _tiles(outcome: Outcome) -> Iterator[str]:
             "dB",
             f"{first['rmse_db']:.1f} dB at the start",
         )
-    if np.isfinite(scores.get("mean_std_db", np.nan)):
+    if np.isfinite(scores.get("expected_rmse_db", np.nan)):
         yield tile(
-            "Mean predicted deviation",
-            f"{scores['mean_std_db']:.1f}",
+            "RMSE, as predicted",
+            f"{scores['expected_rmse_db']:.1f}",
             "dB",
-            f"{first['mean_std_db']:.1f} dB at the start",
+            f"{first['expected_rmse_db']:.1f} dB at the start",
         )
     if np.isfinite(scores.get("coverage90", np.nan)):
         yield tile(

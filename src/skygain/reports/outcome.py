@@ -32,7 +32,7 @@ SCORE_LABELS: dict[str, str] = {
     "rmse_all_db": "RMSE, all outdoor cells",
     "rmse_ray_traced_db": "RMSE, cells a ray reached",
     "rmse_rest_db": "RMSE, cells no ray reached",
-    "mean_std_db": "mean predicted std. deviation",
+    "expected_rmse_db": "RMSE, as predicted",
     "crps_db": "CRPS",
     "gof": "goodness of fit",
     "error_ratio": "squared error over variance",
@@ -100,8 +100,8 @@ class Outcome:
                 f"({scores['rmse_all_db']:.2f} dB on all), 90 % interval covers "
                 f"{scores['coverage90']:.0%}, goodness of fit {scores['gof']:+.2f}"
             )
-        elif "mean_std_db" in scores:
-            lines.append(f"mean predicted standard deviation {scores['mean_std_db']:.2f} dB")
+        elif "expected_rmse_db" in scores:
+            lines.append(f"RMSE as predicted {scores['expected_rmse_db']:.2f} dB")
         return "\n".join([*lines, *took])
 
     @property

@@ -28,7 +28,7 @@ _MOST_MAP_BYTES = 48_000_000
 first or the last"""
 
 _GROUPS = (
-    ("Error and uncertainty", "dB", ("rmse_db", "rmse_all_db", "mean_std_db", "crps_db"), ()),
+    ("Error and uncertainty", "dB", ("rmse_db", "rmse_all_db", "expected_rmse_db", "crps_db"), ()),
     ("Error by propagation", "dB", ("rmse_ray_traced_db", "rmse_rest_db"), ()),
     ("Interval coverage", "%", ("coverage50", "coverage90"), (0.5, 0.9)),
     ("Goodness of fit", "", ("gof",), (0.0,)),

@@ -203,12 +203,12 @@ def rmse_picture(outcome: Outcome, path: Path) -> None:
     axes = figure.subplots()
     names = [
         n
-        for n in ("rmse_db", "rmse_all_db", "mean_std_db")
+        for n in ("rmse_db", "rmse_all_db", "expected_rmse_db")
         if np.isfinite(outcome.scores.get(n, [])).any()
     ]
     for number, name in enumerate(names):
-        colour = {"mean_std_db": SOFT}.get(name, _LINE_COLOURS[number])
-        style = {"mean_std_db": "--"}.get(name, "-")
+        colour = {"expected_rmse_db": SOFT}.get(name, _LINE_COLOURS[number])
+        style = {"expected_rmse_db": "--"}.get(name, "-")
         values = outcome.scores[name]
         label = (
             f"{score_label(name)}  {values[-1]:.1f}"

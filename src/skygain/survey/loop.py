@@ -37,10 +37,10 @@ class SurveyConfig:
     """When a survey ends, and how long a step takes."""
 
     stop_std_db: float | None = None
-    """end early once the mean predictive standard deviation over outdoor cells is below this;
-    ``None`` flies every step"""
+    """end early once the error expected over outdoor cells (`Posterior.expected_rmse_db`) is below
+    this; ``None`` flies every step"""
     stop_every: int = 5
-    """look at that standard deviation every this many steps"""
+    """look at that error every this many steps"""
     step_duration_s: float = 1.0
     """time stamp between steps"""
 
@@ -267,6 +267,5 @@ class Survey:
     def _certain(self, belief: Belief, step: int) -> bool:
         if self.config.stop_std_db is None or step % self.config.stop_every:
             return False
-        return (
-            float(belief.posterior().std_db[self.scenario.outdoor].mean()) < self.config.stop_std_db
-        )
+        expected_db = belief.posterior().expected_rmse_db(self.scenario.outdoor)
+        return expected_db < self.config.stop_std_db

@@ -154,6 +154,8 @@ def radio_map(
             f"predictor {predictor!r} must be told where the transmitter is; give `transmitter`, "
             "or choose one that does without, such as kriging-blind"
         )
+    if unlike := method.outside_training(scenario, quantity=gridded.quantity):
+        notes.append(unlike)
     readings = gridded.measurements()
     belief = method.begin(scenario).updated(readings)
     scores: Mapping[str, Mapping[str, Score]] = {}

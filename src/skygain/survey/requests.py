@@ -163,7 +163,8 @@ class MethodRequest(Request):
     planner: str = named("sequential-greedy", names="skygain.planners:PLANNERS")
     """the same for the planner"""
     stop_std_db: float | None = named(None, flag="stop-std")
-    """stop once the mean predicted standard deviation outdoors is below this, dB"""
+    """stop once the error expected outdoors is below this, dB: the root mean square of the
+    predicted standard deviation"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from skygain.ground.errors import InputError
 from skygain.networks.unets.direct import DirectNet
 from skygain.networks.unets.paper import PaperUNets
 from skygain.networks.weights import write_weights
+from skygain.predictors.interpolators.idw import IdwPredictor
 from skygain.predictors.networks.paper_unet import PaperUNetPredictor, map_blind_unet
 from skygain.predictors.networks.unet import UNetPredictor
 from skygain.scenario import Scenario
@@ -70,3 +71,32 @@ def test_missing_weights_name_the_command_that_makes_them(tmp_path, monkeypatch)
 def test_weights_of_another_network_are_refused(tmp_path):
     with pytest.raises(InputError, match="does not fit"):
         PaperUNetPredictor(weights=saved(DirectNet(), tmp_path)).begin(example_scenario())
+
+
+def scenario_at(altitude_m, spacing_m=4.0):
+    city = City(Grid((24, 24), spacing_m), np.zeros((24, 24), np.float32))
+    return Scenario(city, uav_altitude_m=altitude_m, prediction_altitude_m=altitude_m)
+
+
+@pytest.mark.parametrize(
+    ("altitude_m", "spacing_m", "uavs", "quantity", "told"),
+    [
+        (10.0, 4.0, 3, "gain", ""),
+        (10.0, 4.0, None, "gain", ""),
+        (10.0, 4.0, 5, "gain", "trained for 3 UAVs, here are 5 UAVs"),
+        (20.0, 4.0, 1, "gain", "trained for 3 UAVs, 10 m above ground, here are 1 UAV, 20 m"),
+        (10.0, 8.0, 3, "power", "cells of 4 m, gains in dB, here are of 8 m, levels in dBm"),
+    ],
+)
+def test_a_survey_unlike_the_training_is_told(altitude_m, spacing_m, uavs, quantity, told):
+    scenario = scenario_at(altitude_m, spacing_m)
+    line = PaperUNetPredictor().outside_training(scenario, uavs=uavs, quantity=quantity)
+    assert bool(line) == bool(told)
+    assert told in line
+
+
+def test_any_number_of_uavs_is_like_the_training_of_the_direct_network():
+    network = UNetPredictor()
+    assert not network.outside_training(scenario_at(15.0), uavs=7)
+    assert "10 to 30 m, here are 60 m" in network.outside_training(scenario_at(60.0), uavs=7)
+    assert not IdwPredictor().outside_training(scenario_at(60.0), uavs=7, quantity="power")

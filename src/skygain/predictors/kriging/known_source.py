@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -38,6 +40,9 @@ from skygain.predictors.kriging.inferred_trend import InferredTrend
 from skygain.predictors.kriging.parameters import (
     TRENDS,
     KrigingParameters,
+    Trained,
+    parameter_file,
+    shipped_parameters,
     trained_parameters,
     trend_columns,
 )
@@ -63,9 +68,9 @@ class KrigingPredictor(Predictor):
     trend: str = "log-distance"
     """``"log-distance"``; ``"inferred"``, the same around a transmitter that has to be found;
     ``"constant"``; ``"quadratic"``"""
-    parameters: KrigingParameters | None = None
-    """trend and covariance to start from; ``None`` takes the trained ones for the scenario's
-    altitude"""
+    parameters: KrigingParameters | str | None = None
+    """trend and covariance to start from, or a file written by ``skygain train kriging``; ``None``
+    takes the ones that ship, for the scenario's altitude"""
     refit: bool = True
     """fit the covariance to the survey's own data on the schedule; ``False`` keeps the parameters
     as they are"""
@@ -83,7 +88,11 @@ class KrigingPredictor(Predictor):
         if self.level not in LEVELS:
             raise InputError(f"unknown level {self.level!r}; expected one of {', '.join(LEVELS)}")
         expected = {"constant": 1, "quadratic": 6}.get(self.trend, 2)
-        if self.parameters is not None and len(self.parameters.trend) != expected:
+        _ = self._trained  # an unreadable file is told at once
+        if (
+            isinstance(self.parameters, KrigingParameters)
+            and len(self.parameters.trend) != expected
+        ):
             raise InputError(
                 f"a trend {self.trend!r} has {expected} coefficients, but the parameters give "
                 f"{len(self.parameters.trend)}"
@@ -91,6 +100,11 @@ class KrigingPredictor(Predictor):
         object.__setattr__(
             self, "transmitter", "required" if self.trend == "log-distance" else "unused"
         )
+
+    @cached_property
+    def _trained(self) -> Trained:
+        of = self.parameters
+        return parameter_file(of) if isinstance(of, str | Path) else shipped_parameters()
 
     def memory_bytes(self, cells: int, readings: int) -> float:
         """Each reading is tied to every cell, in single precision."""
@@ -119,21 +133,22 @@ class KrigingPredictor(Predictor):
 
     def priors(self, scenario: Scenario) -> list[tuple[KrigingParameters, float]]:
         """What a survey chooses from, the likeliest first, with the logarithm of the odds."""
-        if self.parameters is not None:
+        if isinstance(self.parameters, KrigingParameters):
             return [(self.parameters, 0.0)]
         if (
             self.trend == "inferred"
         ):  # without a path-loss line there would be no transmitter to find
-            trained = trained_parameters("log-distance", scenario.prediction_altitude_m)
+            altitude_m = scenario.prediction_altitude_m
+            trained = trained_parameters("log-distance", altitude_m, self._trained)
             return [(trained if self.level == "gain" else trained.with_flat_level, 0.0)]
-        return survey_priors(self.trend, scenario, self.level)
+        return survey_priors(self.trend, scenario, self.level, self._trained)
 
     def expected(self, scenario: Scenario) -> KrigingParameters:
         """What is expected before the first reading, when only the training speaks."""
-        if self.parameters is not None:
+        if isinstance(self.parameters, KrigingParameters):
             return self.parameters
         trend = "log-distance" if self.trend == "inferred" else self.trend
-        return trained_parameters(trend, scenario.prediction_altitude_m)
+        return trained_parameters(trend, scenario.prediction_altitude_m, self._trained)
 
 
 def blind_kriging(**options: Any) -> KrigingPredictor:

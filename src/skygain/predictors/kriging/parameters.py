@@ -20,7 +20,10 @@ __all__ = [
     "TRENDS",
     "far_columns",
     "KrigingParameters",
+    "Trained",
     "generic_parameters",
+    "parameter_file",
+    "shipped_parameters",
     "trained_parameters",
     "trend_columns",
 ]
@@ -28,7 +31,8 @@ __all__ = [
 import json
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -158,26 +162,54 @@ def _between(low: KrigingParameters, high: KrigingParameters, share: float) -> K
     )  # type: ignore[arg-type]
 
 
+Trained = dict[str, dict[float, KrigingParameters]]
+"""parameters by trend and altitude in metres"""
+
+
+def parameter_file(path: str | Path) -> Trained:
+    """The parameters that ``skygain train kriging`` wrote to ``path``.
+
+    Raises:
+        InputError: there is no such file, or it holds something else.
+    """
+    try:
+        trends = json.loads(Path(path).read_text(encoding="utf-8"))["trends"]
+        found = {
+            trend: {float(z): KrigingParameters.from_dict(v) for z, v in trends[trend].items()}
+            for trend in TRENDS
+        }
+        if not all(found.values()):
+            raise ValueError("a trend has no altitude")
+        return found
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"cannot read Kriging's parameters from {path} ({error}); give a file written by "
+            "`skygain train kriging`"
+        ) from error
+
+
 @cache
-def _shipped() -> dict[str, Any]:
-    return json.loads(files("skygain").joinpath("data/kriging.json").read_text(encoding="utf-8"))
+def shipped_parameters() -> Trained:
+    """The parameters that ship with Skygain, trained on ray-traced Manhattan cities at 10, 20 and
+    30 m."""
+    with as_file(files("skygain").joinpath("data/kriging.json")) as path:
+        return parameter_file(path)
 
 
-def trained_parameters(trend: str, altitude_m: float) -> KrigingParameters:
-    """The parameters that ship with Skygain for ``trend`` at ``altitude_m``.
+def trained_parameters(
+    trend: str, altitude_m: float, trained: Trained | None = None
+) -> KrigingParameters:
+    """The parameters for ``trend`` at ``altitude_m``, of ``trained`` or of those that ship.
 
-    They were trained on ray-traced Manhattan cities at 10, 20 and 30 m. Between these altitudes
-    they are interpolated, below and above them the nearest ones hold.
+    Between the altitudes of the training they are interpolated, below and above them the nearest
+    ones hold.
 
     Raises:
         InputError: no such trend.
     """
     if trend not in TRENDS:
         raise InputError(f"unknown trend {trend!r}; known: {', '.join(TRENDS)}")
-    table = {
-        float(altitude): KrigingParameters.from_dict(values)
-        for altitude, values in _shipped()["trends"][trend].items()
-    }
+    table = (shipped_parameters() if trained is None else trained)[trend]
     altitudes = sorted(table)
     altitude = min(max(altitude_m, altitudes[0]), altitudes[-1])
     if altitude in table:

@@ -66,6 +66,11 @@ class ResidualKrigingPredictor(Predictor):
         """As the other predictor's."""
         return self._base.transmitter
 
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        return self._base.outside_training(scenario, uavs=uavs, quantity=quantity)
+
     def begin(self, scenario: Scenario) -> ResidualKrigingBelief:
         """The other predictor's belief before the first measurement.
 

@@ -30,6 +30,7 @@ from skygain.grid import Grid
 from skygain.predictors.interpolators.readings import Readings
 from skygain.predictors.kriging.parameters import (
     KrigingParameters,
+    Trained,
     generic_parameters,
     trained_parameters,
 )
@@ -99,16 +100,17 @@ def likelihood_loss(
 
 
 def survey_priors(
-    trend: str, scenario: Scenario, level: str = "any"
+    trend: str, scenario: Scenario, level: str = "any", source: Trained | None = None
 ) -> list[tuple[KrigingParameters, float]]:
     """What a survey may start from, the likeliest first, with the logarithm of the odds.
 
     The trained parameters; for the log-distance trend also ones without a path-loss line; and
     generic ones. Without a transmitter the level is flat, since readings may be in dBm, or of any
-    transmitter; ``level="gain"`` says that they are gains like the trained ones.
+    transmitter; ``level="gain"`` says that they are gains like the trained ones. ``source`` stands
+    in for the parameters that ship.
     """
     trained, generic = (
-        trained_parameters(trend, scenario.prediction_altitude_m),
+        trained_parameters(trend, scenario.prediction_altitude_m, source),
         generic_parameters(trend),
     )
     if trend != "log-distance":
@@ -118,7 +120,7 @@ def survey_priors(
             (trained.with_flat_level, 0.0),
             (generic.with_flat_level, GENERIC_FLAT_LOG_ODDS),
         ]
-    flat = trained_parameters("constant", scenario.prediction_altitude_m)
+    flat = trained_parameters("constant", scenario.prediction_altitude_m, source)
     flat = replace(
         flat,
         trend=(*flat.trend, 0.0),

@@ -40,6 +40,7 @@ from skygain.predictors.networks.operator_maps import (
     OperatorNetwork,
     frequency_shift_db,
 )
+from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.predictors.networks.transmitter_search import TransmitterSearch
 from skygain.scenario import Scenario
 
@@ -123,6 +124,11 @@ class OperatorPredictor(Predictor):
         first = min(self.settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // cells))
         held = (12.0 * readings + 12.0 * first) * cells
         return super().memory_bytes(cells, readings) + held + NETWORKS_BYTES
+
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        return TrainedFor((10.0, 30.0)).unlike(self.weights, scenario, uavs, quantity)
 
     def begin(self, scenario: Scenario) -> OperatorBelief:
         """The belief before the first measurement; evaluates all first candidates unless this city

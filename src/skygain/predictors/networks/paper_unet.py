@@ -19,6 +19,7 @@ from skygain.networks.scales import PAPER_SIDE
 from skygain.networks.unets.inputs import paper_inputs
 from skygain.predictors.base import Predictor
 from skygain.predictors.networks.network_belief import NetworkBelief
+from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.scenario import Scenario
 
 
@@ -48,6 +49,14 @@ class PaperUNetPredictor(Predictor):
             )
         _ = self._network
         return NetworkBelief.begun(scenario, self._evaluate)
+
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        task = self._network.weights.task
+        altitude_m = float(task.get("altitude_m", 10.0))
+        trained = TrainedFor((altitude_m, altitude_m), task.get("uavs"))
+        return trained.unlike(self.weights, scenario, uavs, quantity)
 
     @cached_property
     def _network(self) -> Network:

@@ -17,6 +17,7 @@ from skygain.networks.runtime import Network, load
 from skygain.networks.unets.inputs import direct_inputs
 from skygain.predictors.base import Predictor
 from skygain.predictors.networks.network_belief import NetworkBelief
+from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.scenario import Scenario
 
 
@@ -32,6 +33,11 @@ class UNetPredictor(Predictor):
     def begin(self, scenario: Scenario) -> NetworkBelief:
         _ = self._network
         return NetworkBelief.begun(scenario, self._evaluate)
+
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        return TrainedFor((10.0, 30.0)).unlike(self.weights, scenario, uavs, quantity)
 
     @cached_property
     def _network(self) -> Network:
