@@ -85,7 +85,7 @@ def combined_paths(run: Run) -> list[Table]:
         grid = Grid((side, side), SIDE_M, (SIDE_M / 2, SIDE_M / 2))
         fine = City(grid, np.zeros(grid.shape, dtype=np.float32), cleared(city).buildings)
         start = time.process_time()
-        settings = replace(DEFAULT, combined=combined)
+        settings = replace(DEFAULT, combined=combined, wedge="sionna")
         gain = launch_gain_db(fine, site, [ALTITUDE_M], settings=settings).gain_db[0, 0]
         cells = chosen(city, o.points)
         power = 10 ** (gain[cells[:, 0], cells[:, 1]].astype(float) / 10)

@@ -199,7 +199,7 @@ def test_unusable_settings_are_named(two_boxes: City, wrong: dict[str, float]) -
 
 def test_the_launcher_diffracts_as_much_at_each_edge(two_boxes: City) -> None:
     """Where one edge gives most of the power, both programs agree on its sum."""
-    settings = Launching(max_reflections=0, diffraction=True)
+    settings = Launching(max_reflections=0, wedge="sionna")
     ours = launch_gain_db(two_boxes, TRANSMITTER, [10.0], settings=settings).gain_db[0, 0]
     lit = launch_gain_db(
         two_boxes, TRANSMITTER, [10.0], settings=replace(settings, diffraction=False)

@@ -55,19 +55,21 @@ def test_threads_do_not_change_a_byte() -> None:
 
 
 def test_ends_can_be_swapped() -> None:
-    """The gain from A to B is that from B to A, but for the heuristic part of the wedge."""
+    """The gain from A to B is that from B to A, diffraction included."""
     grid = Grid(shape=(240, 240), spacing_m=0.5, origin_m=(0.25, 0.25))
     city = City(grid, np.zeros(grid.shape, dtype=np.float32), tuple(STREET))
     cells = [(28, 28), (164, 84), (52, 205), (204, 212), (100, 100)]
     where = [(*grid.xy_m(np.array(c)), 10.0) for c in cells]
-    settings = Launching(diffraction=False, azimuths=32768)
-    gain = launch_gain_db(city, where, [10.0], settings=settings).gain_db[:, 0]
+    gain = launch_gain_db(city, where, [10.0], settings=Launching()).gain_db[:, 0]
+    gaps = []
     for i, a in enumerate(cells):
         for j, b in enumerate(cells[:i]):
             there, back = gain[i][b], gain[j][a]
-            assert np.isfinite(there) == np.isfinite(back)
-            if np.isfinite(there):
-                assert abs(there - back) < 0.5, (a, b)
+            assert np.isfinite([there, back]).all()
+            gaps.append(abs(there - back))
+    # a cell is a mean and a transmitter a point: they differ where a ray ends in the cell
+    assert max(gaps) < 0.5
+    assert np.median(gaps) < 0.01
 
 
 def test_another_building_never_raises_the_direct_path() -> None:

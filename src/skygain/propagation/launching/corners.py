@@ -139,7 +139,7 @@ def _power(e, at, x, y, z, source, edges, physics, scratch):
     """Power at a point by way of edge ``e``, over that of free space at 1 m, and roughly how
     far the point is from a boundary of light."""
     origin, along, normals, materials = edges
-    wave_number, field, pattern, slabs, table = physics
+    theory, field, pattern, slabs = physics
     e_in, e_out, incoming, outgoing = scratch
     qx, qy = origin[e, 0] + at * along[e, 0], origin[e, 1] + at * along[e, 1]
     qz = origin[e, 2] + at * along[e, 2]
@@ -160,8 +160,8 @@ def _power(e, at, x, y, z, source, edges, physics, scratch):
     e_in[1] = -field[0] * incoming[2] * cy + field[1] * cx
     e_in[2] = field[0] * flat
     apart = diffracted(
-        incoming, outgoing, along[e], normals[e], near, far, wave_number, materials[e], e_in,
-        slabs, table, e_out,
+        incoming, outgoing, along[e], normals[e], near, far, theory, materials[e], e_in, slabs,
+        e_out,
     )  # fmt: skip
     if apart < 0.0:
         return 0.0, FAR

@@ -29,6 +29,7 @@ from skygain.propagation.launching.following import (
 from skygain.propagation.launching.geometry import Geometry
 from skygain.propagation.launching.pieces import MOST, inside
 from skygain.propagation.launching.rays import signature
+from skygain.propagation.launching.wedge import no_theory
 
 _BESIDE_M = 1.0
 """a corner is looked for in every cell that comes this near to it: a beam is never half as wide"""
@@ -127,7 +128,7 @@ def empty_book() -> tuple[Any, ...]:
 def strengths(book, altitude, field, pattern, table, ground):
     """|E|² at the corner of every arrival, spreading included, at the slope of one altitude."""
     count, numbers, lengths, met, kinds, _slopes = book[5:]
-    alone = bend_of(-1, np.zeros((2, 3)), np.zeros(4), 0.0, np.zeros(2, dtype=np.complex128))
+    alone = bend_of(-1, np.zeros((2, 3)), np.zeros(4), no_theory())
     found = np.zeros(count[0])
     for k in range(count[0]):
         s, z, azimuth = lengths[k, 0], lengths[k, 1], lengths[k, 5]
@@ -197,8 +198,7 @@ def fan_out(
     most,
     field,
     pattern,
-    wave_number,
-    transition,
+    theory,
     altitudes,
     table,
     ground,
@@ -232,7 +232,7 @@ def fan_out(
             m = inside(slopes_of[arrival], n, -(top + z) / s, -(low + z) / s, left, m)
         if m == 0:
             continue
-        bend = bend_of(w, faces, plan, wave_number, transition)
+        bend = bend_of(w, faces, plan, theory)
         physics = (field, pattern, lengths_of[arrival, 5], table, ground)
         if corner != before:
             before = corner

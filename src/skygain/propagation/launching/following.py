@@ -107,15 +107,15 @@ def strength(s, rise, met, kinds, w, physics, bend):
 @numba.njit(cache=True, nogil=True)
 def _round_corner(e_v, e_h, sine, flat, near, s, material, table, bend):
     """The field behind a vertical corner, its spreading included."""
-    _at, faces, plan, wave_number, transition, e_in, e_out, incoming, outgoing, edge = bend
+    _at, faces, plan, theory, e_in, e_out, incoming, outgoing, edge = bend
     incoming[0], incoming[1], incoming[2] = flat * plan[0], flat * plan[1], sine
     outgoing[0], outgoing[1], outgoing[2] = flat * plan[2], flat * plan[3], sine
     e_in[0] = -e_v * sine * plan[0] - e_h * plan[1]
     e_in[1] = -e_v * sine * plan[1] + e_h * plan[0]
     e_in[2] = e_v * flat
     apart = diffracted(
-        incoming, outgoing, edge, faces, near / flat, (s - near) / flat, wave_number, material,
-        e_in, table, transition, e_out,
+        incoming, outgoing, edge, faces, near / flat, (s - near) / flat, theory, material, e_in,
+        table, e_out,
     )  # fmt: skip
     if apart < 0.0:
         return 0j, 0j
@@ -158,15 +158,15 @@ def begin(scratch, x, y, z, azimuth):
 
 
 @numba.njit(cache=True, nogil=True)
-def bend_of(at, faces, plan, wave_number, transition):
+def bend_of(at, faces, plan, theory):
     """What `follow` takes for a corner: its place among what is met (-1 for none), the normals of
-    its faces, the directions in plan before and after it, and room to work in."""
+    its faces, the directions in plan before and after it, the `theory` of `diffracted`, and room
+    to work in."""
     return (
         at,
         faces,
         plan,
-        wave_number,
-        transition,
+        theory,
         np.empty(3, dtype=np.complex128),
         np.empty(3, dtype=np.complex128),
         np.empty(3),

@@ -48,7 +48,7 @@ from skygain.propagation.launching.rays import launch_sector
 from skygain.propagation.launching.wedge import transition_table
 from skygain.propagation.mesh import city_buildings
 
-MODEL_VERSION = 1
+MODEL_VERSION = 2
 """rises whenever the launcher's numbers change"""
 
 _SHARES = 8
@@ -78,6 +78,9 @@ class Launching:
     part"""
     ground: str = "concrete"
     """material of the ground"""
+    wedge: str = "reciprocal"
+    """weights of the reflections at a diffracting edge: ``"reciprocal"``, or ``"sionna"`` to repeat
+    those of Sionna RT beside it"""
     combined: bool = False
     """whether paths reflect before and after a diffraction at a vertical corner"""
     fans: int = 512
@@ -115,6 +118,8 @@ class Launching:
                 "ray launching covers 0.3 to 100 GHz (the range of the materials), got "
                 f"{self.frequency_hz / 1e9:g} GHz; give frequency_hz in hertz, for example 5e9"
             )
+        if self.wedge not in ("reciprocal", "sionna"):
+            raise InputError(f"wedge must be 'reciprocal' or 'sionna', got {self.wedge!r}")
         if self.ground not in MATERIALS:
             raise InputError(
                 f"unknown material of the ground {self.ground!r}; known: {', '.join(MATERIALS)}"
@@ -253,6 +258,11 @@ class _Launch:
         g = self.geometry
         return (g.walls, g.owner, g.first, g.listed, g.tallest_m, g.frame)
 
+    @property
+    def _theory(self) -> tuple[float, NDArray[np.complex128], bool]:
+        wave_number = 2 * np.pi / wavelength_m(self.settings.frequency_hz)
+        return wave_number, _transition(), self.settings.wedge == "sionna"
+
     def _shared(self, work: Callable[[int, NDArray[np.float64]], object]) -> NDArray[np.float64]:
         """Do all shares of a work and add their sums in order."""
         shape = (len(self.altitudes), *self.city.grid.shape)
@@ -306,8 +316,7 @@ class _Launch:
             self.settings.max_reflections,
             self.antenna.field,
             self.antenna.pattern,
-            2 * np.pi / wavelength_m(self.settings.frequency_hz),
-            _transition(),
+            self._theory,
             self.altitudes,
             self.slabs,
             len(self.slabs) - 1,
@@ -356,7 +365,6 @@ class _Launch:
         edges = self.geometry.edges
         indoors = np.stack([self.city.obstructed(float(h)) for h in self.altitudes])
         west, south, _, _ = self.city.grid.bounds_m
-        wave_number = 2 * np.pi / wavelength_m(self.settings.frequency_hz)
         antenna = (self.antenna.field, self.antenna.pattern)
         diffract_edges(
             share,
@@ -366,7 +374,7 @@ class _Launch:
             (edges.origin_m, edges.along, edges.normals, edges.material),
             windows,
             found,
-            (wave_number, *antenna, self.slabs, _transition()),
+            (self._theory, *antenna, self.slabs),
             self.altitudes,
             indoors,
             walled_cells(self.altitudes, out.shape, self._world),

@@ -12,6 +12,7 @@ import numpy as np
 from skygain.propagation.launching.following import begin as begin_branch
 from skygain.propagation.launching.following import bend_of, follow, new_scratch
 from skygain.propagation.launching.walking import FAR, entry, next_wall
+from skygain.propagation.launching.wedge import no_theory
 
 
 @numba.njit(cache=True, nogil=True)
@@ -90,7 +91,7 @@ def launch_sector(
     different walls (the first ``depth`` of their reflections are compared).
     """
     scratch = new_scratch(len(altitudes))
-    corner_free = bend_of(-1, np.zeros((2, 3)), np.zeros(4), 0.0, np.zeros(2, dtype=np.complex128))
+    corner_free = bend_of(-1, np.zeros((2, 3)), np.zeros(4), no_theory())
     step = 2.0 * math.pi / total
     # a border that hits walls of a square lattice end-on would be ambiguous
     offset = 0.1234567 * step

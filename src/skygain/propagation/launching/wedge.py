@@ -1,12 +1,13 @@
 """Diffraction at a wedge of finite conductivity by the uniform theory of diffraction.
 
-The coefficients are those of Kouyoumjian and Pathak with the reflection coefficients of the two
-faces; docs/propagation.md has the equations and what is heuristic about them.
+The four terms of Kouyoumjian and Pathak, weighted by the reflections at the two faces as Holm
+does, with angles chosen so that both directions of a path give the same; docs/propagation.md has
+the equations.
 """
 
 from __future__ import annotations
 
-__all__ = ["diffracted", "transition_table"]
+__all__ = ["diffracted", "no_theory", "transition_table"]
 
 import math
 
@@ -30,6 +31,12 @@ def transition_table() -> NDArray[np.complex128]:
     root = np.linspace(0.0, _UP_TO, _STEPS + 1)
     tail = modfresnelp(root)[0]  # integral of exp(i t²) from the root to infinity
     return 2j * np.exp(1j * root**2) * np.conj(tail)
+
+
+@numba.njit(cache=True, nogil=True)
+def no_theory():
+    """Stands for the ``theory`` of `diffracted` where nothing diffracts."""
+    return 0.0, np.zeros(2, dtype=np.complex128), False
 
 
 @numba.njit(cache=True, nogil=True)
@@ -69,20 +76,7 @@ def _angle(x: float, y: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def diffracted(
-    incoming,
-    outgoing,
-    edge,
-    faces,
-    near,
-    far,
-    wave_number,
-    material,
-    e_in,
-    slabs,
-    table,
-    e_out,
-):
+def diffracted(incoming, outgoing, edge, faces, near, far, theory, material, e_in, slabs, e_out):
     """Write the diffracted field into ``e_out``.
 
     Returns how far the outgoing ray is from the nearest boundary of light (an angle where it is
@@ -95,14 +89,15 @@ def diffracted(
         faces: ``[2, 3]`` outward normals of the faces.
         near: length of the path to the edge.
         far: length of the path from the edge.
-        wave_number: 2π/λ.
+        theory: the wave number 2π/λ, `transition_table`, and whether to weight the terms as Sionna
+            RT does.
         material: number of the material of both faces.
         e_in: incident field, three complex components.
         slabs: reflection coefficients (`skygain.propagation.launching.materials.slab_table`).
-        table: `transition_table`.
         e_out: the field is E_in D √(1/(near far (near + far))) without its phase, for a unit
             incident field at unit length; three complex components.
     """
+    wave_number, table, as_sionna = theory
     i0 = incoming[0] * faces[0, 0] + incoming[1] * faces[0, 1] + incoming[2] * faces[0, 2]
     i1 = incoming[0] * faces[1, 0] + incoming[1] * faces[1, 1] + incoming[2] * faces[1, 2]
     o0 = outgoing[0] * faces[0, 0] + outgoing[1] * faces[0, 1] + outgoing[2] * faces[0, 2]
@@ -113,10 +108,9 @@ def diffracted(
     # face 0 is one that the incoming ray lights
     f0, fn = (0, 1) if i0 < 0.0 else (1, 0)
     n0, nn = faces[f0], faces[fn]
-    lit0, litn = (i0, i1) if f0 == 0 else (i1, i0)
     # the edge turned so that n0 × e points into face 0
     ex, ey, ez = edge[0], edge[1], edge[2]
-    tx, ty, tz = n0[1] * ez - n0[2] * ey, n0[2] * ex - n0[0] * ez, n0[0] * ey - n0[1] * ex
+    tx, ty, tz = _cross(n0[0], n0[1], n0[2], ex, ey, ez)
     if tx * nn[0] + ty * nn[1] + tz * nn[2] > 0.0:
         ex, ey, ez, tx, ty, tz = -ex, -ey, -ez, -tx, -ty, -tz
     inner = math.acos(min(max(-(n0[0] * nn[0] + n0[1] * nn[1] + n0[2] * nn[2]), -1.0), 1.0))
@@ -143,35 +137,44 @@ def diffracted(
     d2, c2 = _term(minus, -1.0, n, kl, table)
     d3, c3 = _term(plus, 1.0, n, kl, table)
     d4, c4 = _term(plus, -1.0, n, kl, table)
-    weight0, weightn = scale * (d1 - d4), scale * (d2 - d3)
 
-    # unit vectors across the edge: φ̂' of the incoming ray, and its partner along the edge
+    # the field across the edge and along it, in a basis that a straight ray keeps
     ax, ay, az = _cross(incoming[0], incoming[1], incoming[2], ex, ey, ez)
     ax, ay, az = ax / sine, ay / sine, az / sine
     bx, by, bz = _cross(incoming[0], incoming[1], incoming[2], ax, ay, az)
     in_a = e_in[0] * ax + e_in[1] * ay + e_in[2] * az
     in_b = e_in[0] * bx + e_in[1] * by + e_in[2] * bz
-    out_a, out_b = _mirrored(
-        incoming, n0, lit0, ex, ey, ez, sine, in_a, in_b, ax, ay, az, material, slabs
-    )
-    sum_a, sum_b = weight0 * out_a, weight0 * out_b
-    if exterior > math.pi + phi_in:
-        sum_a -= weightn * in_a
-        sum_b -= weightn * in_b
+    if as_sionna:
+        a, b = _mirrored(phi_in, cosine, sine, material, slabs, in_a, in_b)
+        sum_a, sum_b = (d1 - d4) * a, (d1 - d4) * b
+        a, b = in_a, in_b
+        if exterior <= math.pi + phi_in:
+            a, b = _mirrored(exterior - phi_in, -cosine, sine, material, slabs, in_a, in_b)
+        sum_a += (d2 - d3) * a
+        sum_b += (d2 - d3) * b
     else:
-        out_a, out_b = _mirrored(
-            incoming, nn, litn, ex, ey, ez, sine, in_a, in_b, ax, ay, az, material, slabs
-        )
-        sum_a += weightn * out_a
-        sum_b += weightn * out_b
+        # the end nearer to a face decides the angle at which that face reflects
+        forward = phi_in < phi_out
+        at_0 = phi_in if forward else math.pi - phi_out
+        at_n = exterior - phi_in if not forward else math.pi - exterior + phi_out
+        a0, b0 = _mirrored(at_0, cosine, sine, material, slabs, in_a, in_b)
+        an, bn = _mirrored(at_n, -cosine, sine, material, slabs, in_a, in_b)
+        if forward:
+            a, b = _mirrored(at_n, -cosine, sine, material, slabs, a0, b0)
+            sum_a, sum_b = d1 * a + d2 * in_a, d1 * b + d2 * in_b
+        else:
+            a, b = _mirrored(at_0, cosine, sine, material, slabs, an, bn)
+            sum_a, sum_b = d1 * in_a + d2 * a, d1 * in_b + d2 * b
+        sum_a += d4 * a0 + d3 * an
+        sum_b += d4 * b0 + d3 * bn
     # the same components across the outgoing ray
     ax, ay, az = _cross(outgoing[0], outgoing[1], outgoing[2], ex, ey, ez)
-    size = -math.sqrt(max(ax * ax + ay * ay + az * az, 1e-18))
+    size = math.sqrt(max(ax * ax + ay * ay + az * az, 1e-18))
     ax, ay, az = ax / size, ay / size, az / size
     bx, by, bz = _cross(outgoing[0], outgoing[1], outgoing[2], ax, ay, az)
-    e_out[0] = sum_a * ax + sum_b * bx
-    e_out[1] = sum_a * ay + sum_b * by
-    e_out[2] = sum_a * az + sum_b * bz
+    e_out[0] = scale * (sum_a * ax + sum_b * bx)
+    e_out[1] = scale * (sum_a * ay + sum_b * by)
+    e_out[2] = scale * (sum_a * az + sum_b * bz)
     return 2.0 * min(c1, c2, c3, c4)
 
 
@@ -183,27 +186,22 @@ def _cross(
 
 
 @numba.njit(cache=True, nogil=True)
-def _mirrored(incoming, normal, lit, ex, ey, ez, sine, in_a, in_b, ax, ay, az, material, slabs):
-    """R applied to the field: components across the edge of the ray that the face reflects."""
-    kx, ky, kz = incoming[0], incoming[1], incoming[2]
-    te, tm = coefficients(slabs, material, abs(lit))
-    # the direction across the plane of incidence, shared by both rays
-    sx, sy, sz = _cross(kx, ky, kz, normal[0], normal[1], normal[2])
-    size = math.sqrt(sx * sx + sy * sy + sz * sz)
-    if size < 1e-6:
-        sx, sy, sz = ax, ay, az
-    else:
-        sx, sy, sz = sx / size, sy / size, sz / size
-    c = ax * sx + ay * sy + az * sz
-    vx, vy, vz = _cross(ax, ay, az, sx, sy, sz)
-    s = kx * vx + ky * vy + kz * vz
-    e_s = te * (c * in_a + s * in_b)
-    e_p = tm * (-s * in_a + c * in_b)
-    # the reflected ray, and the unit vector across the edge there
-    rx, ry, rz = kx - 2 * lit * normal[0], ky - 2 * lit * normal[1], kz - 2 * lit * normal[2]
-    px, py, pz = _cross(rx, ry, rz, ex, ey, ez)
-    px, py, pz = -px / sine, -py / sine, -pz / sine
-    c = sx * px + sy * py + sz * pz
-    vx, vy, vz = _cross(sx, sy, sz, px, py, pz)
-    s = rx * vx + ry * vy + rz * vz
-    return c * e_s + s * e_p, -s * e_s + c * e_p
+def _mirrored(angle, cosine, sine, material, slabs, in_a, in_b):
+    """The field that a face reflects: its components across the edge and along it.
+
+    ``angle`` goes round the edge from the face to where the ray comes from, ``cosine`` and
+    ``sine`` belong to the angle between ray and edge. A face that is not lit reflects as at
+    grazing incidence.
+    """
+    up = math.sin(angle) if 0.0 < angle < math.pi else 0.0
+    te, tm = coefficients(slabs, material, sine * up)
+    size = math.sqrt(max(1.0 - sine * sine * up * up, 1e-18))
+    # the plane of incidence, turned about the ray
+    c, s = up * cosine / size, -math.cos(angle) / size
+    if up == 0.0:
+        c, s = 0.0, 1.0
+    mixed = c * s * (te + tm)
+    return (
+        (s * s * tm - c * c * te) * in_a + mixed * in_b,
+        (s * s * te - c * c * tm) * in_b - mixed * in_a,
+    )
