@@ -33,6 +33,10 @@ from typing import ClassVar
 from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
+from skygain.missions.requests import (
+    MissionNewRequest,
+    MissionPlanRequest,
+)
 from skygain.survey.requests import (
     CityRequest,
     FlightRequest,
@@ -289,6 +293,8 @@ class ExportOnnxRequest(Request):
 COMMANDS: dict[str, type[Request]] = {
     "survey": SurveyRequest,
     "map": MapRequest,
+    "mission new": MissionNewRequest,
+    "mission plan": MissionPlanRequest,
     "inspect": InspectRequest,
     "evaluate": EvaluateRequest,
     "methods": MethodsRequest,

@@ -1,0 +1,177 @@
+"""Where a UAV is at every moment of its flight, and how near two of them come.
+
+Legs are flown with one speed and one acceleration, with a stop at every corner; that is slower than
+most autopilots fly. Nobody knows moments to the second, so two UAVs keep their separation also when
+one of them is up to `SLIP_S` early or late.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ACCELERATION_MPS2",
+    "CLIMB_MPS",
+    "DESCENT_MPS",
+    "SLIP_S",
+    "Timeline",
+    "first_conflict",
+    "leg_seconds",
+    "nearest",
+    "timeline",
+]
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+CLIMB_MPS = 2.0
+"""speed of take-off"""
+DESCENT_MPS = 1.0
+"""speed of landing"""
+ACCELERATION_MPS2 = 2.0
+"""along a leg"""
+SLIP_S = 5.0
+"""so early or late a UAV may be against another"""
+TICK_S = 0.25
+"""moments at which positions are compared; the movement in between is added to the distance"""
+_STRAIGHT = np.cos(np.radians(5.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """A flight by time."""
+
+    ticks_m: NDArray[np.float64]
+    """``[tick, (x, y, z)]`` every `TICK_S` from moment 0; NaN while on the ground"""
+    reached_s: NDArray[np.float64]
+    """``[point]`` moment at which each point of the route is reached"""
+    landed_s: float
+    """moment of landing"""
+
+    @property
+    def air_s(self) -> float:
+        """Seconds in the air."""
+        return float(np.isfinite(self.ticks_m[:, 0]).sum() * TICK_S)
+
+
+def leg_seconds(length_m: NDArray[np.float64], speed_mps: float) -> NDArray[np.float64]:
+    """Time for legs that begin and end at rest."""
+    length = np.asarray(length_m, dtype=float)
+    rush = speed_mps**2 / ACCELERATION_MPS2
+    slow = 2 * np.sqrt(length / ACCELERATION_MPS2)
+    return np.where(length >= rush, length / speed_mps + speed_mps / ACCELERATION_MPS2, slow)
+
+
+def timeline(
+    route_m: NDArray[np.float64], ground_m: float, speed_mps: float, delay_s: float = 0.0
+) -> Timeline:
+    """The flight along ``route_m[point, (x, y, z)]``, from the ground below its first point to that
+    below its last.
+
+    Args:
+        route_m: points above the pad, along the way, and above the pad again.
+        ground_m: z of the pad.
+        speed_mps: along the legs.
+        delay_s: moment of take-off.
+    """
+    route = np.asarray(route_m, dtype=float)
+    climb_s = (route[0, 2] - ground_m) / CLIMB_MPS
+    runs = _runs(route)
+    reached = np.zeros(len(route))
+    at = delay_s + climb_s
+    reached[0] = at
+    spans: list[tuple[float, float, NDArray, NDArray]] = []
+    for first, last in runs:
+        lengths = np.linalg.norm(np.diff(route[first : last + 1], axis=0), axis=1)
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        total_s = float(leg_seconds(along[-1:], speed_mps)[0])
+        reached[first : last + 1] = at + _moments(along, along[-1], speed_mps)
+        spans.append((at, total_s, along, route[first : last + 1]))
+        at += total_s
+    down_s = (route[-1, 2] - ground_m) / DESCENT_MPS
+    landed = at + down_s
+    moments = np.arange(0.0, landed + TICK_S, TICK_S)
+    ticks = np.full((len(moments), 3), np.nan)
+    up = (moments >= delay_s) & (moments < delay_s + climb_s)
+    ticks[up] = route[0]
+    ticks[up, 2] = ground_m + (moments[up] - delay_s) * CLIMB_MPS
+    for begin, total_s, along, points in spans:
+        inside = (moments >= begin) & (moments < begin + total_s)
+        if inside.any():
+            done = _covered(moments[inside] - begin, along[-1], speed_mps)
+            ticks[inside] = np.stack(
+                [np.interp(done, along, points[:, axis]) for axis in range(3)], axis=1
+            )
+    down = (moments >= at) & (moments < landed)
+    ticks[down] = route[-1]
+    ticks[down, 2] -= (moments[down] - at) * DESCENT_MPS
+    return Timeline(ticks, reached, landed)
+
+
+def _runs(route: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """First and last point of each part that is flown without a stop."""
+    if len(route) < 2:
+        return []
+    step = np.diff(route, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    unit = step / np.maximum(length, 1e-9)[:, None]
+    stops = [k for k in range(1, len(route) - 1) if float(unit[k - 1] @ unit[k]) < _STRAIGHT]
+    edges = [0, *stops, len(route) - 1]
+    return list(pairwise(edges))
+
+
+def _covered(t_s: NDArray[np.float64], length_m: float, speed_mps: float) -> NDArray[np.float64]:
+    """Metres after ``t_s`` of a leg that begins and ends at rest."""
+    total = float(leg_seconds(np.array([length_m]), speed_mps)[0])
+    ramp = min(speed_mps / ACCELERATION_MPS2, total / 2)
+    top = ramp * ACCELERATION_MPS2
+    rising = 0.5 * ACCELERATION_MPS2 * np.minimum(t_s, ramp) ** 2
+    steady = top * np.clip(t_s - ramp, 0, total - 2 * ramp)
+    left = np.clip(total - t_s, 0, ramp)
+    falling = 0.5 * ACCELERATION_MPS2 * (ramp**2 - left**2)
+    return np.clip(rising + steady + falling, 0.0, length_m)
+
+
+def _moments(along_m: NDArray[np.float64], length_m: float, speed_mps: float) -> NDArray:
+    """Seconds after which each place along a leg is reached."""
+    total = float(leg_seconds(np.array([length_m]), speed_mps)[0])
+    fine = np.linspace(0.0, total, 257)
+    covered = np.maximum.accumulate(_covered(fine, length_m, speed_mps))
+    return np.interp(along_m, covered, fine)
+
+
+def nearest(one: Timeline, other: Timeline, speed_mps: float, slip_s: float = SLIP_S) -> float:
+    """A distance in metres that two flights are never nearer than, as long as one is at most
+    ``slip_s`` early or late; infinite if they are never in the air together."""
+    return _closest(one, other, speed_mps, slip_s)[0]
+
+
+def first_conflict(
+    one: Timeline, other: Timeline, speed_mps: float, apart_m: float, slip_s: float = SLIP_S
+) -> float | None:
+    """The first moment of ``one`` at which the two may come nearer than ``apart_m``; ``None`` if
+    never."""
+    _, per_tick = _closest(one, other, speed_mps, slip_s)
+    near = np.flatnonzero(per_tick < apart_m)
+    return float(near[0] * TICK_S) if len(near) else None
+
+
+def _closest(
+    one: Timeline, other: Timeline, speed_mps: float, slip_s: float
+) -> tuple[float, NDArray[np.float64]]:
+    a, b = one.ticks_m, other.ticks_m
+    slip = round(slip_s / TICK_S)
+    per_tick = np.full(len(a), np.inf)
+    for shift in range(-slip, slip + 1):
+        low, high = max(0, -shift), min(len(a), len(b) - shift)
+        if high <= low:
+            continue
+        gap = a[low:high] - b[low + shift : high + shift]
+        distance = np.sqrt(np.einsum("ij,ij->i", gap, gap))
+        per_tick[low:high] = np.fmin(per_tick[low:high], distance)
+    # between two ticks each UAV moves speed x tick at most, half of it from the nearer one, and
+    # slips between two shifts cost half a tick more
+    top = max(speed_mps, CLIMB_MPS)
+    per_tick = per_tick - top * TICK_S * 1.5
+    return float(per_tick.min(initial=np.inf)), per_tick
