@@ -1,5 +1,6 @@
 """Make the invented town and the invented campaign of this folder: `buildings.geojson` with 300 x
-300 m of streets in UTM zone 32N, and `campaign.csv` with readings of two cells along those streets.
+300 m of streets in UTM zone 32N, `campaign.csv` with readings of two cells along those streets, and
+`gain.npz` with the gain of both at 10 m, in metres of its own.
 
     python examples/data/make.py
 
@@ -70,6 +71,22 @@ def write_campaign() -> None:
         writer.writerows(rows)
 
 
+def write_gain() -> None:
+    """The maps that another program might have computed."""
+    city = open_city(str(FOLDER / "buildings.geojson"), spacing_m=4.0)
+    places = np.array([(WEST_M + x, SOUTH_M + y, z) for x, y, z in CELLS.values()])
+    gain = trace_truth(city, places, [10.0], frequency_hz=FREQUENCY_HZ).gain_db[:, 0]
+    np.savez_compressed(
+        FOLDER / "gain.npz",
+        gain_db=np.where(city.obstructed(10.0), np.nan, np.round(gain, 1)).astype(np.float16),
+        height_m=city.height_m.astype(np.float16),
+        transmitter_m=places - (*city.grid.origin_m, 0.0),
+        spacing_m=4.0,
+        altitude_m=10.0,
+        frequency_hz=FREQUENCY_HZ,
+    )
+
+
 def walk(built: np.ndarray) -> list[tuple[int, int]]:
     """Every second cell of a walk along the streets that run through, to and fro."""
     clear = ~built
@@ -92,3 +109,4 @@ def middles(share: np.ndarray) -> list[int]:
 if __name__ == "__main__":
     write_buildings()
     write_campaign()
+    write_gain()

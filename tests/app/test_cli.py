@@ -11,6 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+
+from skygain.app.cli import command_line
 
 QUICK = ["--predictor", "idw", "--planner", "random-waypoint", "--steps", "10", "--crop", "40"]
 
@@ -208,3 +211,16 @@ def test_doctor_never_crashes() -> None:
     done = skygain("doctor")
     assert done.returncode in (0, 1)
     assert "Python" in done.stdout
+
+
+def test_an_option_of_several_files_takes_them_after_one_another(tmp_path: Path) -> None:
+    """`--cities a b` is what people type."""
+    np.savez(tmp_path / "a.npz", gain_db=np.full((30, 30), -90.0), spacing_m=4.0)
+    made = tmp_path / "made.zarr.zip"
+    words = ["dataset", "import", str(tmp_path / "a.npz"), "--out", str(made), "--splits", "T1"]
+    found = CliRunner().invoke(command_line(), words)
+    assert found.exit_code == 0, found.exception
+    assert "T1          1      1" in found.stdout
+    words = ["dataset", "build", "--cities", "7", "8", "--side", "500", "--out", str(made)]
+    found = CliRunner().invoke(command_line(), words)
+    assert str(found.exception).startswith("--side 500 is more than the smallest city has")

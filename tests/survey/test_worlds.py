@@ -63,3 +63,35 @@ def test_a_transmitter_in_other_coordinates_is_refused_before_anything_is_comput
     with pytest.raises(InputError, match="off the map"):
         open_world(asked, told=told.append)
     assert told == ["reading the city"]
+
+
+def a_truth(folder: Path, **told: object) -> Path:
+    y, x = np.mgrid[0:30, 0:40]
+    gain = -60 - 25 * np.log10(np.hypot(x - 20.0, y - 12.0) + 1)
+    gain[3:6, 30:35] = np.nan
+    np.savez(folder / "map.npz", gain_db=gain, spacing_m=4.0, **told)
+    return folder / "map.npz"
+
+
+def test_a_map_of_gains_is_a_world(tmp_path: Path) -> None:
+    path = a_truth(tmp_path, altitude_m=20.0, frequency_hz=3.5e9)
+    world = open_world(PlaceRequest(truth=path), altitude_m=10.0)
+    assert (world.altitude_m, world.frequency_hz) == (20.0, 3.5e9)
+    assert world.truth_db.shape == (30, 40)
+    assert np.isfinite(world.truth_db).all()
+    assert world.city.obstructed(20.0)[3:6, 30:35].all()
+    assert world.city.grid.cells_at(world.transmitter_m[:2]).tolist() == [12, 20]
+    assert world.source is not None
+    assert "flight" in str(world.source)
+    told = open_world(PlaceRequest(truth=path, transmitter="8,8,1.5"))
+    assert told.transmitter_m == (8.0, 8.0, 1.5)
+    assert told.source is not None
+    assert "strongest" not in str(told.source)
+
+
+def test_a_map_of_gains_over_a_city(tmp_path: Path) -> None:
+    world = open_world(PlaceRequest(truth=a_truth(tmp_path), city="7", transmitter="200,200,30"))
+    assert world.city.grid.shape == (121, 121)
+    assert world.city.obstructed(10.0)[40:].all()  # where the map has nothing
+    with pytest.raises(InputError, match="brings its own truth"):
+        open_world(PlaceRequest(truth=a_truth(tmp_path), city="sample:0"))

@@ -111,6 +111,12 @@ class _Command(click.Command):
         self.request = request
         super().__init__(name, **options)
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        asked = self.request.asked()
+        if not any(one.argument for one in asked):
+            args = _repeated(args, {f"--{one.flag}" for one in asked if one.several})
+        return super().parse_args(ctx, args)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {"": []}
         for one in self.request.asked():
@@ -184,6 +190,23 @@ def _parameter(one: Asked) -> click.Parameter:
         multiple=one.several,
         shell_complete=partial(_completed, one.names) if one.names else None,
     )
+
+
+def _repeated(args: list[str], flags: set[str]) -> list[str]:
+    """``--data a b`` as ``--data a --data b``, for the options of any number of files.
+
+    >>> _repeated(["--data", "a", "b", "--out", "c"], {"--data"})
+    ['--data', 'a', '--data', 'b', '--out', 'c']
+    """
+    found: list[str] = []
+    flag = ""
+    for word, before in zip(args, ["", *args], strict=False):
+        if word.startswith("-"):
+            flag = word if word in flags else ""
+        elif flag and before != flag:
+            found.append(flag)
+        found.append(word)
+    return found
 
 
 def _scaled(value: Any, one: Asked) -> Any:

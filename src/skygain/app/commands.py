@@ -1,52 +1,24 @@
-"""The commands that need nothing of their own: data sets, training, exports."""
+"""The commands that need nothing of their own: training, exports."""
 
 from __future__ import annotations
 
-__all__ = ["run_build", "run_export", "run_info", "run_kriging", "run_policy", "run_predictor"]
+__all__ = ["run_export", "run_kriging", "run_policy", "run_predictor"]
 
 import sys
 from typing import Any
 
 from skygain.app.progress import Progress
 from skygain.app.requests import (
-    DatasetBuildRequest,
-    DatasetInfoRequest,
     ExportOnnxRequest,
     TrainKrigingRequest,
     TrainPolicyRequest,
     TrainPredictorRequest,
     TrainRequest,
 )
-from skygain.app.signals import stopping, told_of_signals
+from skygain.app.signals import stopping
 from skygain.ground.errors import require
 
 STOPPING = "stopping: what is under way is finished and saved; the same command goes on"
-
-
-def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
-    """Build the data set; returns what it holds."""
-    from skygain.datasets.builder import build_dataset
-    from skygain.datasets.summary import describe_dataset
-
-    progress.phase("tracing cities")
-    ended = "ended; finished cities are kept, the same command goes on"
-    with told_of_signals(ended, ended):
-        build_dataset(
-            request.preset,
-            request.out,
-            workers=request.workers,
-            resume=request.resume,
-            propagation=request.propagation,
-            progress=lambda done, total, _left: progress(done, total),
-        )
-    return describe_dataset(request.out)
-
-
-def run_info(request: DatasetInfoRequest, progress: Progress) -> str:
-    """What a data set holds."""
-    from skygain.datasets.summary import describe_dataset
-
-    return describe_dataset(request.path)
 
 
 def run_kriging(request: TrainKrigingRequest, progress: Progress) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 __all__ = [
     "COMMANDS",
     "DatasetBuildRequest",
+    "DatasetImportRequest",
     "DatasetInfoRequest",
     "DoctorRequest",
     "EvaluateRequest",
@@ -26,6 +27,7 @@ __all__ = [
     "TrainPredictorRequest",
 ]
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -182,17 +184,53 @@ class MethodsRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetBuildRequest(Request):
-    """Generate cities and trace their transmitters; goes on where a killed run stopped.
+class OwnCitiesRequest(Request):
+    """Cities of your own, instead of a preset
+
+    How the files are read is declared as in `skygain.cities.CityOptions`.
+    """
+
+    cities: tuple[Path, ...] = ()
+    """footprints, height rasters, scenes, seeds; several after one another"""
+    transmitters: int = 6
+    """transmitters per city, at random places of the open ground"""
+    altitudes_m: tuple[float, ...] = (10.0,)
+    """altitudes of the maps, separated by commas"""
+    splits: tuple[str, ...] = ("T4",)
+    """split of each city, or one for all: T1 trains, T2 validates, T3 trains policies, T4 tests"""
+    side: int | None = None
+    """cells along a side of every map; the smallest city's when left out"""
+    seed: int = 0
+    """draws the transmitters"""
+    frequency_hz: float = named(5e9, flag="frequency-ghz", scale=1e9)
+    """carrier frequency"""
+    spacing_m: float | None = None
+    """side of a cell in metres; 4 or the raster's own when left out"""
+    crs: str | None = None
+    """coordinate reference system of files that name none"""
+    layer: str | None = None
+    """layer with the buildings, of files with several"""
+    height_field: str | None = None
+    """NAME[:unit] of the column that holds the heights"""
+    default_height_m: float | None = None
+    """height of a building without one; 9 when left out"""
+    terrain: str | None = None
+    """raster of the ground beneath a surface model, or none if heights are above ground"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetBuildRequest(OwnCitiesRequest):
+    """Generate or read cities and trace their transmitters; goes on where a killed run stopped.
 
     Examples:
         skygain dataset build --preset small --out cities.zarr.zip --workers 2
+        skygain dataset build --cities a.geojson b.tif --transmitters 6 --out mine.zarr.zip
     """
 
-    runs: ClassVar[str] = "skygain.app.commands:run_build"
+    runs: ClassVar[str] = "skygain.app.data_sets:run_build"
 
-    preset: str
-    """paper, small, tiny, sample (what ships), more-cities, more-altitudes or large"""
+    preset: str | None = None
+    """paper, small, tiny, sample (what ships), more-cities, more-altitudes, more-kinds or large"""
     out: Path
     """the data set to write, PATH.zarr.zip"""
     workers: int = 1
@@ -200,14 +238,57 @@ class DatasetBuildRequest(Request):
     resume: bool = True
     """go on from the cities already traced"""
     propagation: str | None = named(None, names="skygain.propagation:PROPAGATION")
-    """propagation model of the truth; the preset's when left out"""
+    """propagation model of the truth; union, or the preset's, when left out"""
+
+    def check(self) -> None:
+        """A preset or cities, not both."""
+        if (self.preset is None) == (not self.cities):
+            raise InputError("give a `preset`, or `cities` of your own")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetImportRequest(CityRequest):
+    """Make a data set of gain maps that you have: GeoTIFF, NetCDF or NumPy archives.
+
+    Examples:
+        skygain dataset import maps.tif --city heights.tif --out mine.zarr.zip
+        skygain dataset import a.npz b.npz --splits T1,T4 --altitude 10 --out mine.zarr.zip
+    """
+
+    runs: ClassVar[str] = "skygain.app.data_sets:run_import"
+
+    maps: tuple[Path, ...] = named(argument=True)
+    """.tif (one map a band), .nc or .npz (gain_db, spacing_m, height_m, transmitter_m); each file
+    is a city, or with --city all are of that one"""
+    out: Path
+    """the data set to write, PATH.zarr.zip"""
+    splits: tuple[str, ...] = ("T4",)
+    """split of each city, or one for all"""
+    gain: str | None = None
+    """variable or band that holds the gain; gain_db, truth_db or mean_db when left out"""
+    altitude_m: float | None = None
+    """altitude of the maps above the ground; what the files say, or 10, when left out"""
+    frequency_hz: float | None = named(None, flag="frequency-ghz", scale=1e9)
+    """carrier frequency; what the files say, or 5 GHz, when left out"""
+    transmitter: str | None = None
+    """x,y[,z] in the maps' metres or latitude,longitude[,z]; what the files say, or the strongest
+    cell, when left out"""
+
+    def check(self) -> None:
+        """There is something to import."""
+        if not self.maps:
+            raise InputError("`maps` are missing; give one file or several")
+        for name in ("altitude_m", "frequency_hz"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"`{name}` must be above 0, got {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetInfoRequest(Request):
     """Say what a data set holds."""
 
-    runs: ClassVar[str] = "skygain.app.commands:run_info"
+    runs: ClassVar[str] = "skygain.app.data_sets:run_info"
 
     path: Path = named(argument=True)
     """a data set, PATH.zarr.zip"""
@@ -300,6 +381,7 @@ COMMANDS: dict[str, type[Request]] = {
     "methods": MethodsRequest,
     "doctor": DoctorRequest,
     "dataset build": DatasetBuildRequest,
+    "dataset import": DatasetImportRequest,
     "dataset info": DatasetInfoRequest,
     "train predictor": TrainPredictorRequest,
     "train policy": TrainPolicyRequest,

@@ -1,4 +1,4 @@
-"""Building a data set of generated cities, in parallel, in a way that survives being killed.
+"""Building a data set of generated or given cities, in parallel, whatever kills it on the way.
 
 Each city is traced on its own and written as a small data set of one city into the folder
 ``PATH.parts``; once all are there they are merged into PATH. A file gets its name only when it is
@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.cities.manhattan import transmitter_sites
 from skygain.city import City
 from skygain.datasets.layout import CityRecord
+from skygain.datasets.own import OwnCities
 from skygain.datasets.presets import DATA_VERSION, BuildConfig, preset_config
 from skygain.datasets.store import ChannelDataset
 from skygain.datasets.writer import write_dataset
@@ -48,7 +48,7 @@ _STEPS_PER_DB = 4
 
 
 def build_dataset(
-    preset: str | BuildConfig,
+    preset: str | BuildConfig | OwnCities,
     path: str | os.PathLike[str],
     *,
     workers: int = 1,
@@ -56,10 +56,10 @@ def build_dataset(
     propagation: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Generate cities, compute the truth of their transmitters, and write the data set.
+    """Generate or read cities, compute the truth of their transmitters, and write the data set.
 
     Args:
-        preset: name of a preset, or a configuration.
+        preset: name of a preset, a configuration, or cities of one's own.
         path: the file to write. Unfinished work is kept beside it, in ``PATH.parts``.
         workers: cities computed at the same time, each in a process of its own on one thread.
         resume: go on from the cities that an earlier, interrupted call finished; else throw them
@@ -77,7 +77,7 @@ def build_dataset(
     """
     from skygain.propagation import PROPAGATION
 
-    config = preset if isinstance(preset, BuildConfig) else preset_config(preset)
+    config = preset_config(preset) if isinstance(preset, str) else preset
     if propagation is not None:
         config = replace(config, propagation=propagation)
     if workers < 1:
@@ -112,7 +112,9 @@ def build_dataset(
     return path
 
 
-def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progress | None) -> None:
+def _trace_all(
+    config: BuildConfig | OwnCities, parts: Path, workers: int, progress: Progress | None
+) -> None:
     """Make the shards that are missing."""
     total = len(config.city_seeds)
     missing = [
@@ -135,17 +137,11 @@ def _trace_all(config: BuildConfig, parts: Path, workers: int, progress: Progres
                 progress(done + count, total, left)
 
 
-def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
-    """Make one shard: generate the city, choose its transmitters, compute their maps. Runs in a
+def _trace_city(config: BuildConfig | OwnCities, seed: int, split: str, path: Path) -> None:
+    """Make one shard: get the city, choose its transmitters, compute their maps. Runs in a
     worker."""
     city = config.drawn(seed)
-    sites = transmitter_sites(city)
-    if config.max_sites is not None:
-        # the first of a shuffled list, so that fewer sites are a part of more sites
-        chosen = np.random.default_rng([config.seed, seed]).permutation(len(sites))[
-            : config.max_sites
-        ]
-        sites = sites[np.sort(chosen)]
+    sites = config.sites(seed, city)
     gain_db, ray_traced, facts = _truth(config, city, sites, config.seed + seed)
     record = CityRecord(
         number=seed,
@@ -163,7 +159,7 @@ def _trace_city(config: BuildConfig, seed: int, split: str, path: Path) -> None:
 
 
 def _truth(
-    config: BuildConfig, city: City, sites: NDArray[np.float64], seed: int
+    config: BuildConfig | OwnCities, city: City, sites: NDArray[np.float64], seed: int
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Gain and whether it came by rays, each ``[link, altitude, row, col]``, and how the rays were
     traced."""
@@ -188,10 +184,15 @@ def _truth(
 
 
 def _rectangles(city: City) -> NDArray[np.float64]:
-    """``[building, (x0, y0, x1, y1, height)]`` of a city of upright rectangles."""
-    corners = [
-        (*b.footprint_m.min(axis=0), *b.footprint_m.max(axis=0), b.height_m) for b in city.buildings
-    ]
+    """``[building, (x0, y0, x1, y1, height)]`` of a city of upright rectangles; none of a city
+    with others, whose raster is all that is kept."""
+    corners = []
+    for b in city.buildings:
+        low, high = b.footprint_m.min(axis=0), b.footprint_m.max(axis=0)
+        upright = ((b.footprint_m == low) | (b.footprint_m == high)).all()
+        if b.holes_m or b.base_m or len(b.footprint_m) != 4 or not upright:
+            return np.empty((0, 5))
+        corners.append((*low, *high, b.height_m))
     return np.array(corners, dtype=float).reshape(-1, 5)
 
 
@@ -220,7 +221,7 @@ def _is_usable(shard: Path) -> bool:
     return True
 
 
-def _settings(config: BuildConfig) -> dict[str, Any]:
+def _settings(config: BuildConfig | OwnCities) -> dict[str, Any]:
     """All that decides the numbers, as JSON would give it back."""
     releases = {"skygain": skygain.__version__}
     for package in ("numpy", *_PACKAGES.get(config.propagation, ())):
@@ -228,7 +229,7 @@ def _settings(config: BuildConfig) -> dict[str, Any]:
             releases[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-    settings = {"data_version": DATA_VERSION, **asdict(config), "releases": releases}
+    settings = {"data_version": DATA_VERSION, **config.as_data(), "releases": releases}
     if config.propagation == "union":
         from skygain.propagation.launching.launch import Launching
 
@@ -260,20 +261,20 @@ def _source_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def _attributes(config: BuildConfig, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _attributes(config: BuildConfig | OwnCities, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The data set's own account of where its numbers come from."""
     return {
-        "title": f"{'European' if config.kinds else 'Manhattan'} cities, {config.name}",
+        "title": config.title,
         "data_version": DATA_VERSION,
         "propagation": config.propagation,
-        "extent_m": config.city.extent_m,
+        "extent_m": config.extent_m,
         "gain": (
             "channel gain in dB, isotropic antennas; cells inside buildings hold values that mean "
             "nothing"
         ),
         "tool": (
             f"Skygain {skygain.__version__}, propagation model {config.propagation}; the "
-            "coordinate city is the city's seed"
+            f"coordinate city is {config.numbered_by}"
         ),
         "build": dict(settings),
     }

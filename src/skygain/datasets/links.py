@@ -110,7 +110,13 @@ class Links:
         Raises:
             InputError: the maps are smaller than the window.
         """
-        return random_corner(self.height_m.shape[1:], (side, side), rng)
+        rows, cols = self.height_m.shape[1:]
+        if side > min(rows, cols):
+            raise InputError(
+                f"maps of {rows} x {cols} cells are smaller than the {side} x {side} that networks "
+                "learn from; take larger cities or smaller cells"
+            )
+        return random_corner((rows, cols), (side, side), rng)
 
     def view(
         self, link: int, altitude: int, row: int, col: int, side: int, symmetry: int = 0

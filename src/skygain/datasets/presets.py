@@ -9,10 +9,14 @@ from __future__ import annotations
 
 __all__ = ["DATA_VERSION", "PRESETS", "BuildConfig", "preset_config"]
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from skygain.cities.european import KINDS, european_city
-from skygain.cities.manhattan import ManhattanConfig, manhattan_city
+from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
 from skygain.city import City
 from skygain.datasets.layout import SPLITS
 from skygain.ground.errors import InputError
@@ -75,6 +79,34 @@ class BuildConfig:
         if self.kinds:
             return european_city(seed, KINDS[self.kinds[seed % len(self.kinds)]])
         return manhattan_city(seed, self.city)
+
+    def sites(self, seed: int, city: City) -> NDArray[np.float64]:
+        """``[transmitter, (x, y, z)]`` of the city of a seed."""
+        sites = transmitter_sites(city)
+        if self.max_sites is None:
+            return sites
+        # the first of a shuffled list, so that fewer sites are a part of more sites
+        order = np.random.default_rng([self.seed, seed]).permutation(len(sites))
+        return sites[np.sort(order[: self.max_sites])]
+
+    def as_data(self) -> dict[str, Any]:
+        """What decides the numbers."""
+        return asdict(self)
+
+    @property
+    def title(self) -> str:
+        """Of the data set."""
+        return f"{'European' if self.kinds else 'Manhattan'} cities, {self.name}"
+
+    @property
+    def extent_m(self) -> float:
+        """Side of the cities."""
+        return self.city.extent_m
+
+    @property
+    def numbered_by(self) -> str:
+        """What the number of a city is."""
+        return "the city's seed"
 
     @property
     def city_seeds(self) -> list[tuple[int, str]]:

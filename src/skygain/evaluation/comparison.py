@@ -51,6 +51,8 @@ class Comparison:
     """steps at which scores were taken"""
     cities: NDArray[np.int64]
     """``[case]`` city of each case, for resampling"""
+    window: tuple[int, int]
+    """rows and columns of the maps that were surveyed"""
     scores: dict[str, dict[str, NDArray[np.float64]]]
     """``scores[method label][score name][case, step]``"""
     delays: dict[str, dict[str, NDArray[np.float64]]]
@@ -60,6 +62,8 @@ class Comparison:
 def _cases(request: EvaluateRequest, dataset: ChannelDataset) -> list[Case]:
     from skygain.datasets.cases import survey_cases
 
+    rows, cols = dataset.grid.shape
+    side = request.crop or max(rows, cols)
     return survey_cases(
         dataset,
         request.split,
@@ -68,7 +72,7 @@ def _cases(request: EvaluateRequest, dataset: ChannelDataset) -> list[Case]:
         altitude_m=request.altitude_m,
         max_surveys=request.max_surveys,
         seed=request.seed,
-        crop_shape=(request.crop, request.crop) if request.crop else dataset.grid.shape,
+        crop_shape=(min(side, rows), min(side, cols)),
     )
 
 
@@ -187,4 +191,4 @@ def _collected(
             for name in rows[0]["delays"]
         }
     cities = np.array([case.city_index for case in cases], dtype=np.int64)
-    return Comparison(request, request.record_steps, cities, scores, delays)
+    return Comparison(request, request.record_steps, cities, cases[0].shape, scores, delays)

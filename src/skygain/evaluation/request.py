@@ -43,7 +43,8 @@ class EvaluateRequest(FlightRequest):
     max_surveys: int | None = None
     """at most this many surveys, spread over the cities; one per transmitter when left out"""
     crop: int = 96
-    """side in cells of the random window that is surveyed; 0 for whole maps"""
+    """side in cells of the random window that is surveyed, as far as the maps go; 0 for whole
+    maps"""
     record_every: int = 25
     """score every this many steps, and at the end"""
     workers: int | None = named(None, stored=False)

@@ -100,7 +100,8 @@ def comparison_markdown(comparison: Comparison) -> str:
     asked, labels, steps = comparison.request, list(comparison.scores), comparison.steps
     shown = _milestones(steps)
     n, n_cities = len(comparison.cities), len(np.unique(comparison.cities))
-    window = f"windows of {asked.crop} × {asked.crop} cells" if asked.crop else "whole maps"
+    rows, cols = comparison.window
+    window = f"{'windows' if asked.crop else 'whole maps'} of {rows} × {cols} cells"
     lines = [
         f"{n} surveys in {n_cities} cities of {asked.split}, {window}, {asked.uavs} UAVs, start "
         f"{asked.start}, {asked.steps} steps, "

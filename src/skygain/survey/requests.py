@@ -64,6 +64,9 @@ class PlaceRequest(CityRequest):
 
     transmitter: str = "random"
     """random, or latitude,longitude[,z], or x,y[,z] in the city's metres; z above the ground"""
+    truth: Path | None = None
+    """map of the gain that is measured (.tif, .nc, .npz), instead of one that is computed; with or
+    without a city"""
     propagation: str = named("union", names="skygain.propagation:PROPAGATION")
     """how the truth of a city without one is computed: union (rays and over the rooftops),
     over-rooftop or gudmundson"""

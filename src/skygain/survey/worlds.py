@@ -1,8 +1,8 @@
 """The world a simulated survey flies in: a city, a transmitter, and the gain the transmitter really
 has everywhere.
 
-A packaged or built data set brings its truth along; for any other city it is computed here, by the
-propagation model asked for.
+A packaged or built data set brings its truth along, and so does a map of gains; for any other city
+the truth is computed here, by the propagation model asked for.
 """
 
 from __future__ import annotations
@@ -172,6 +172,57 @@ def _dataset_world(
     )
 
 
+def _mapped_world(place: PlaceRequest, altitude_m: float, rng: np.random.Generator) -> World:
+    """The world of a map of gains, with the buildings of the city, of the file, or none."""
+    from skygain.cities import Reading
+    from skygain.datasets.gain_maps import built_over, read_gain_maps, seen_on
+
+    assert place.truth is not None
+    if getattr(place, "above_sea", False):
+        raise InputError("`above_sea` does not go with `truth`, whose map is above the ground")
+    maps = read_gain_maps(place.truth, spacing_m=place.spacing_m)
+    notes = list(maps.notes)
+    if len(maps.gain_db) > 1:
+        number = int(rng.integers(len(maps.gain_db)))
+        notes.append(f"map {number} of {len(maps.gain_db)} in {place.truth.name} is flown")
+    else:
+        number = 0
+    gain, grid, position = maps.gain_db[number], maps.grid, maps.transmitters_m[number]
+    counts: dict[str, int] = {}
+    if place.city is not None:
+        if _dataset_and_link(place.city) is not None:
+            raise InputError("a data set brings its own truth; leave `truth` out, or `city`")
+        reading = asked_city(place)
+        city, notes = reading.city, [*reading.remarks, *notes]
+        counts = dict(reading.counts)
+        gain = seen_on(city.grid, grid, gain)
+    else:
+        height = np.zeros(grid.shape) if maps.height_m is None else maps.height_m
+        city = City(grid, height, name=maps.name)
+    if maps.altitude_m is not None and not isclose(maps.altitude_m, altitude_m):
+        notes.append(f"{place.truth.name} is at {maps.altitude_m:g} m, and so is the flight")
+        altitude_m = maps.altitude_m
+    city, built = built_over(city, gain, altitude_m)
+    if built:
+        counts["cells without a gain count as built up"] = built
+    if place.transmitter != "random":
+        position = asked_position(place.transmitter, city.grid)
+        notes = [note for note in notes if "where the transmitter is" not in note]
+    at = (float(position[0]), float(position[1]), float(position[2]))
+    check_transmitter(city, at)
+    row, col, window = _crop_corner(city.grid.shape, place.crop or 0, rng)
+    rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
+    return World(
+        city.cropped(row, col, window),
+        at,
+        np.where(np.isfinite(gain), gain, np.nanmin(gain))[rows, cols].astype(np.float32),
+        None,
+        altitude_m,
+        place.frequency_hz or maps.frequency_hz or place.carrier_hz,
+        source=Reading(city, counts, tuple(notes)),
+    )
+
+
 def open_world(
     place: PlaceRequest | str,
     *,
@@ -195,6 +246,9 @@ def open_world(
     if isinstance(place, str):
         place = PlaceRequest(city=place)
     rng = np.random.default_rng(rng)
+    if place.truth is not None:
+        told("reading the truth")
+        return _mapped_world(place, altitude_m, rng)
     spec = place.city or "sample"
     told("reading the city")
     found = _dataset_and_link(spec)

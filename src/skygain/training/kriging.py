@@ -239,9 +239,8 @@ def _links(
     links = []
     for index in dataset.links(config.split, altitude):
         rng = np.random.default_rng([config.seed, index])
-        link = random_crop(
-            dataset.link(index, altitude), rng, (config.crop, config.crop), augment=True
-        )
+        side = min(config.crop, *dataset.grid.shape)
+        link = random_crop(dataset.link(index, altitude), rng, (side, side), augment=True)
         links.append((link, _cells(link, config, rng)))
     return links
 
