@@ -36,8 +36,10 @@ from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
 from skygain.missions.requests import (
+    MissionIngestRequest,
     MissionNewRequest,
     MissionPlanRequest,
+    MissionStatusRequest,
 )
 from skygain.survey.requests import (
     CityRequest,
@@ -376,6 +378,8 @@ COMMANDS: dict[str, type[Request]] = {
     "map": MapRequest,
     "mission new": MissionNewRequest,
     "mission plan": MissionPlanRequest,
+    "mission ingest": MissionIngestRequest,
+    "mission status": MissionStatusRequest,
     "inspect": InspectRequest,
     "evaluate": EvaluateRequest,
     "methods": MethodsRequest,

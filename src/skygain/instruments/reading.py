@@ -420,10 +420,10 @@ def _recording(
     lines: _Lines, values: dict[str, Any], names: dict[str, str], table: Table, ask: _Ask
 ) -> Recording:
     level, kind = _as_gain(values["level"], values["kind"], names["level"], ask, table.name)
-    time_s = None
+    time_s = began_s = None
     if "time" in names:
         column = names["time"]
-        time_s, why = seconds(lines.columns[list(table.header).index(column)], column)
+        time_s, began_s, why = seconds(lines.columns[list(table.header).index(column)], column)
         if time_s is None:
             if "time" in ask.columns:
                 raise InputError(
@@ -449,6 +449,7 @@ def _recording(
         xy_m=xy_m,
         crs=crs,
         time_s=time_s,
+        began_s=began_s,
         noise_std_db=values.get("noise"),
         censored=values.get("censored"),
         line=lines.line,

@@ -39,6 +39,8 @@ class Recording:
     """projected coordinate reference system of ``xy_m``; ``None`` for a frame of its own"""
     time_s: NDArray[np.float64] | None = None
     """``[n]`` seconds since the earliest reading"""
+    began_s: float | None = None
+    """when that was, in seconds since 1970 (UTC unless the log names a zone), if the log says"""
     noise_std_db: NDArray[np.float64] | None = None
     """``[n]`` standard deviation of each reading's noise, when the file states it"""
     censored: NDArray[np.bool_] | None = None
@@ -107,6 +109,7 @@ def joined(recordings: Sequence[Recording]) -> Recording:
             for name in ("level_db", "latlon", "xy_m", "noise_std_db", "censored", "line")
         },
         time_s=None,
+        began_s=None,
         source=f"{first.source} and {len(recordings) - 1} more",
         skipped=sum(r.skipped for r in recordings),
         notes=tuple(notes),

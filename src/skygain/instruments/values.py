@@ -59,6 +59,8 @@ _WITH_LETTER = re.compile(
 _PAIR = re.compile(r"\s*\(?\s*([+-]?\d+(?:[.,]\d+)?)\s*(?:[\s;/]|,\s|,(?=[+-]?\d+\.))\s*"
                    r"([+-]?\d+(?:[.,]\d+)?)\b.*")  # fmt: skip
 _POINT = re.compile(r"(?:SRID=\d+;)?\s*POINT\s*Z?\s*\(\s*(\S+)\s+(\S+?)[\s)].*", re.IGNORECASE)
+_FIRST_DATE_S = 1e9
+"""a number of seconds from this on is a date, that of September 2001 or later"""
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 _MOMENTS = (
     "%Y.%m.%d_%H.%M.%S",
@@ -158,8 +160,9 @@ def pairs(column: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64], ND
     return first, second, np.array(kind, dtype=np.int8)
 
 
-def seconds(column: NDArray, name: str) -> tuple[NDArray[np.float64] | None, str]:
-    """``[n]`` seconds since the earliest, or ``None`` and why the column was not understood.
+def seconds(column: NDArray, name: str) -> tuple[NDArray[np.float64] | None, float | None, str]:
+    """``[n]`` seconds since the earliest, or ``None``; the earliest in seconds since 1970, where
+    the column states the date; and why the column was not understood.
 
     Numbers are seconds, or milliseconds by name or by size. Text is ISO 8601 or one of the usual
     notations of loggers, the same in every line.
@@ -171,18 +174,21 @@ def seconds(column: NDArray, name: str) -> tuple[NDArray[np.float64] | None, str
         scale = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
         if scale == 1.0 and name.casefold().endswith(("ms", "millis")):
             scale = 1e3
-        return (values - values.min()) / scale, ""
+        began = float(size) / scale
+        return (values - size) / scale, began if began >= _FIRST_DATE_S else None, ""
     fields = texts(column)
     empty = [i for i, text in enumerate(fields.tolist()) if text.casefold() in _NO_VALUE]
     if empty:
-        return None, f"{len(empty)} of {len(fields)} values are empty or marked as missing"
+        why = f"{len(empty)} of {len(fields)} values are empty or marked as missing"
+        return None, None, why
     zoned = np.array([bool(_ZONE.search(text)) for text in fields.tolist()])
     if zoned.any() and not zoned.all():
-        return None, f"only {int(zoned.sum())} of {len(fields)} values name their time zone"
+        why = f"only {int(zoned.sum())} of {len(fields)} values name their time zone"
+        return None, None, why
     return _moments(fields)
 
 
-def _moments(fields: NDArray) -> tuple[NDArray[np.float64] | None, str]:
+def _moments(fields: NDArray) -> tuple[NDArray[np.float64] | None, float | None, str]:
     import pandas as pd
 
     for notation in ("ISO8601", *(f + tail for f in _MOMENTS for tail in ("", ".%f"))):
@@ -194,5 +200,6 @@ def _moments(fields: NDArray) -> tuple[NDArray[np.float64] | None, str]:
             continue
         values = np.array(past, dtype=np.float64)
         if np.isfinite(values).all():
-            return values, ""
-    return None, f"{fields[0][:40]!r} is neither seconds nor ISO 8601"
+            dated = "%Y" in notation or notation == "ISO8601"
+            return values, moments.min().timestamp() if dated else None, ""
+    return None, None, f"{fields[0][:40]!r} is neither seconds nor ISO 8601"

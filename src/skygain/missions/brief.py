@@ -54,8 +54,8 @@ def _page(site: Site, sortie: Sortie, picture: bytes) -> str:
     lead = (
         f"{uavs} at {site.altitude_text}, {request.speed_mps:g} m/s, "
         f"{sortie.duration_s / 60:.1f} min from the first take-off to the last landing. "
-        f"{len(sortie.cells)} cells are measured; the map's mean standard deviation should fall "
-        f"from {sortie.std_before_db:.1f} to {sortie.std_after_db:.1f} dB."
+        f"{len(sortie.cells)} cells are measured; the map's expected error should fall "
+        f"from {sortie.error_before_db:.1f} to {sortie.error_after_db:.1f} dB."
     )
     rows = "\n".join(_row(site, sortie, k) for k in range(len(sortie.flights)))
     items = "\n".join(f"<li>{html.escape(line)}</li>" for line in risks(site, sortie))

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-__all__ = ["run_new", "run_plan"]
+__all__ = ["run_ingest", "run_new", "run_plan", "run_status"]
 
 from typing import TYPE_CHECKING, Protocol
 
-from skygain.missions.requests import MissionNewRequest, MissionPlanRequest
+from skygain.ground.declared import part
+from skygain.missions.requests import (
+    MissionIngestRequest,
+    MissionNewRequest,
+    MissionPlanRequest,
+    MissionStatusRequest,
+)
+from skygain.survey.requests import RecordingRequest
 
 if TYPE_CHECKING:
     from skygain.missions.sortie import Sortie
@@ -49,23 +56,23 @@ def run_new(request: MissionNewRequest, progress: Progress) -> str:
                 seed=request.seed,
                 told=progress,
             )
-            told = _outlook_lines(ahead.std_db, ahead.enough, request.stop_std_db)
+            told = _outlook_lines(ahead.error_db, ahead.enough, request.stop_std_db)
             first = ahead.sorties[0] if ahead.sorties else None
             if first is not None:
                 told += _sortie_lines(first)[1:]
         progress.phase("drawing")
         site_picture(site, folder / "site.png", ahead)
-        mission.journal.add("outlook", {"std_db": list(ahead.std_db) if ahead else []})
+        mission.journal.add("outlook", {"error_db": list(ahead.error_db) if ahead else []})
     return "\n".join(
         [*site_lines(site), *told, f"picture: {folder / 'site.png'}",
          f"next: skygain mission plan {folder}"]
     )  # fmt: skip
 
 
-def _outlook_lines(std_db: tuple[float, ...], enough: bool, stop_db: float | None) -> list[str]:
-    shown = " → ".join(f"{v:.1f}" for v in std_db)
-    lines = [f"mean predicted standard deviation over the sorties: {shown} dB"]
-    n = len(std_db) - 1
+def _outlook_lines(error_db: tuple[float, ...], enough: bool, stop_db: float | None) -> list[str]:
+    shown = " → ".join(f"{v:.1f}" for v in error_db)
+    lines = [f"expected error over the sorties: {shown} dB"]
+    n = len(error_db) - 1
     if stop_db is not None:
         lines.append(
             f"{n} {'sortie brings' if n == 1 else 'sorties bring'} it below {stop_db:g} dB"
@@ -78,7 +85,7 @@ def _outlook_lines(std_db: tuple[float, ...], enough: bool, stop_db: float | Non
 def _sortie_lines(sortie: Sortie) -> list[str]:
     lines = [
         f"sortie {sortie.number}: {len(sortie.cells)} cells in {sortie.duration_s / 60:.1f} min, "
-        f"mean standard deviation {sortie.std_before_db:.1f} → {sortie.std_after_db:.1f} dB"
+        f"expected error {sortie.error_before_db:.1f} → {sortie.error_after_db:.1f} dB"
     ]
     for flight in sortie.flights:
         start = f", takes off after {flight.delay_s:.0f} s" if flight.delay_s else ""
@@ -110,3 +117,57 @@ def run_plan(request: MissionPlanRequest, progress: Progress) -> str:
     if again:
         told.append("nothing was read since it was planned, so it is the same sortie again")
     return "\n".join([*told, f"files: {where}", f"for the crew: {where / 'brief.html'}"])
+
+
+def run_ingest(request: MissionIngestRequest, progress: Progress) -> str:
+    """Take readings in; returns what came of each log, and what was not flown."""
+    from skygain.missions.folder import Mission
+    from skygain.missions.ingest import take_in
+    from skygain.missions.next_sortie import left_over
+
+    with Mission.opened(request.folder) as mission, mission.writing("skygain mission ingest"):
+        progress.phase("reading the map")
+        site = mission.site
+        progress.phase("reading the logs")
+        intake = take_in(mission, request.files, part(request, RecordingRequest),
+                         request.shift_hours)  # fmt: skip
+        lines = []
+        for log in intake.logs:
+            lines += [str(log), *(f"  note: {note}" for note in log.notes)]
+        missed = sum(map(len, left_over(mission, site)))
+    if not intake.new:
+        lines.append("nothing new: these readings are in the mission already")
+    elif missed:
+        lines.append(f"{missed} planned cells were not flown; the next plan flies them first")
+    return "\n".join([*lines, f"next: skygain mission status {request.folder}"])
+
+
+def run_status(request: MissionStatusRequest, progress: Progress) -> str:
+    """Write the map; returns how good it is and what to do next."""
+    from skygain.missions.advice import advice
+    from skygain.missions.folder import Mission
+    from skygain.missions.map_files import write_map
+    from skygain.missions.state import known_belief
+
+    with Mission.opened(request.folder) as mission, mission.writing("skygain mission status"):
+        progress.phase("reading the map")
+        site = mission.site
+        belief = known_belief(mission)
+        readings = mission.journal.readings()
+        progress.phase("planning ahead")
+        found = advice(mission, belief, request.least_gain_db)
+        notes: list[str] = []
+        lines = [
+            f"sorties planned: {len(mission.sorties())}; {len(readings)} readings in "
+            f"{int(belief.measurements.visited(site.grid.shape).sum())} cells",
+            str(found),
+        ]
+        if readings:
+            progress.phase("writing the map")
+            folder, notes = write_map(mission, belief)
+            lines += [*notes, f"map: {folder / 'report.html'}"]
+        mission.journal.add(
+            "advised",
+            {"error_db": found.error_db, "next_db": found.next_db, "stop": found.stop},
+        )
+    return "\n".join(lines)

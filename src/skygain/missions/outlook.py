@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skygain.missions.imagined import ahead_of, with_expected
-from skygain.missions.planning import mean_std, plan_sortie
+from skygain.missions.planning import expected_error, plan_sortie
 from skygain.missions.site import Site
 from skygain.missions.sortie import Sortie
 from skygain.planners.base import Planner
@@ -23,8 +23,8 @@ class Outlook:
 
     sorties: tuple[Sortie, ...]
     """one after another, each as if the ones before had been flown"""
-    std_db: tuple[float, ...]
-    """mean predicted standard deviation before the first and after each"""
+    error_db: tuple[float, ...]
+    """expected error before the first and after each"""
     enough: bool = field(default=False)
     """whether the last one reaches the certainty asked for"""
 
@@ -42,7 +42,7 @@ def outlook(
     """Plan up to ``most`` sorties ahead, until the map would be certain enough."""
     belief = ahead_of(belief)
     sorties: list[Sortie] = []
-    std = [mean_std(site, belief)]
+    std = [expected_error(site, belief)]
     enough = stop_std_db is not None and std[-1] < stop_std_db
     while len(sorties) < most and not enough:
         number = len(sorties) + 1
@@ -54,7 +54,7 @@ def outlook(
         sortie = plan_sortie(site, belief, planner, rng, number=number, told=heard)
         belief = with_expected(belief, sortie.cells)
         sorties.append(sortie)
-        std.append(mean_std(site, belief))
+        std.append(expected_error(site, belief))
         enough = stop_std_db is not None and std[-1] < stop_std_db
     return Outlook(tuple(sorties), tuple(std), enough)
 

@@ -30,7 +30,7 @@ _NO_FLY = "#B3261E"
 def site_picture(site: Site, path: Path, ahead: Outlook | None = None) -> None:
     """The place: area, buildings, what can be flown, homes; with the first sortie, and the
     certainty over the sorties, where they were simulated."""
-    with_curve = ahead is not None and len(ahead.std_db) > 1
+    with_curve = ahead is not None and len(ahead.error_db) > 1
     figure = agg_figure((12.6, 6.6) if with_curve else (7.4, 6.8))
     figure.suptitle(
         f"Mission over {site.reading.city.name}",
@@ -159,21 +159,21 @@ def _legend(figure: Figure, site: Site, flights: Sequence[Flight]) -> None:
 
 
 def _certainty(axes: Axes, site: Site, ahead: Outlook) -> None:
-    axes.plot(range(len(ahead.std_db)), ahead.std_db, "o-", color="#0072B2", lw=2)
-    for k, value in enumerate(ahead.std_db):
+    axes.plot(range(len(ahead.error_db)), ahead.error_db, "o-", color="#0072B2", lw=2)
+    for k, value in enumerate(ahead.error_db):
         axes.annotate(
             f"{value:.1f}", (k, value), textcoords="offset points", xytext=(7, 5), color=SOFT
         )
     stop = site.request.stop_std_db
     if stop is not None:
         axes.axhline(stop, color=_NO_FLY, lw=1, ls="--")
-        axes.annotate("certain enough", (0, stop), xytext=(2, 3), textcoords="offset points",
+        axes.annotate("good enough", (0, stop), xytext=(2, 3), textcoords="offset points",
                       color=_NO_FLY, fontsize=8)  # fmt: skip
     axes.set_ylim(bottom=0)
-    axes.set_xticks(range(len(ahead.std_db)))
+    axes.set_xticks(range(len(ahead.error_db)))
     axes.set_xlabel("sorties flown", color=SOFT)
-    axes.set_ylabel("mean predicted standard deviation in dB", color=SOFT)
-    axes.set_title("How sure the map gets", loc="left", color=INK)
+    axes.set_ylabel("expected error in dB", color=SOFT)
+    axes.set_title("How good the map gets", loc="left", color=INK)
     axes.grid(True, color="#E3E7EB", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)
     quiet(axes)

@@ -25,7 +25,7 @@ from skygain.predictors.base import Belief
 _COMMITTED = 0.75
 """share of a plan that is flown before the next, since nothing is learnt in between"""
 _SHORTEST_REFLY = 4
-_DELAYS_S = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)
+_DELAYS_S = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0)
 """stagger of take-offs, tried in this order"""
 _CUTS = 6
 """so often a flight is cut short before it waits for the others to land"""
@@ -66,7 +66,7 @@ def plan_sortie(
         raise InputError("every UAV stays on the ground; leave one out of `without`")
     check_battery(site, chosen)
     belief = ahead_of(belief)
-    before_db = mean_std(site, belief)
+    before_db = expected_error(site, belief)
     paths = _paths(site, belief, planner, rng, chosen, leftover, told)
     flights, notes = _fitted(site, chosen, paths)
     if not flights:
@@ -75,15 +75,15 @@ def plan_sortie(
             "`reserve_percent` or another `home`"
         )
     planned = np.unique(np.concatenate([f.cells for f in flights]), axis=0)
-    after_db = mean_std(site, with_expected(belief, planned))
+    after_db = expected_error(site, with_expected(belief, planned))
     cells = {tuple(cell) for cell in planned.tolist()}
     refly = sum(tuple(c) in cells for run in leftover for c in run.tolist())
     return Sortie(number, tuple(flights), before_db, after_db, refly, tuple(notes))
 
 
-def mean_std(site: Site, belief: Belief) -> float:
-    """Mean predicted standard deviation of the map."""
-    return float(belief.posterior().std_db[site.scenario.outdoor].mean())
+def expected_error(site: Site, belief: Belief) -> float:
+    """Root mean square of the map's predicted standard deviation."""
+    return belief.posterior().expected_rmse_db(site.scenario.outdoor)
 
 
 def check_battery(site: Site, uavs: Sequence[int]) -> None:

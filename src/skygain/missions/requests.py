@@ -164,7 +164,7 @@ class MissionStatusRequest(MissionRequest):
     runs: ClassVar[str] = "skygain.missions.commands:run_status"
 
     least_gain_db: float = named(0.1, flag="least-gain")
-    """a sortie that lowers the mean standard deviation by less than this is not worth flying, dB"""
+    """a sortie that lowers the expected error by less than this is not worth flying, dB"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,9 +92,9 @@ class Sortie:
     """from 1"""
     flights: tuple[Flight, ...]
     """one for each UAV that flies"""
-    std_before_db: float
-    """mean predicted standard deviation of the map before it"""
-    std_after_db: float
+    error_before_db: float
+    """expected error of the map before it: the root mean square of its standard deviation"""
+    error_after_db: float
     """the same after it, as far as can be said before"""
     refly_cells: int = 0
     """cells of earlier sorties that were not flown and are in this one"""
@@ -116,8 +116,8 @@ class Sortie:
         return {
             "number": self.number,
             "flights": [flight.as_data() for flight in self.flights],
-            "std_before_db": self.std_before_db,
-            "std_after_db": self.std_after_db,
+            "error_before_db": self.error_before_db,
+            "error_after_db": self.error_after_db,
             "refly_cells": self.refly_cells,
             "notes": list(self.notes),
         }
@@ -128,8 +128,8 @@ class Sortie:
         return cls(
             int(data["number"]),
             tuple(Flight.of(one) for one in data["flights"]),
-            float(data["std_before_db"]),
-            float(data["std_after_db"]),
+            float(data["error_before_db"]),
+            float(data["error_after_db"]),
             int(data["refly_cells"]),
             tuple(data["notes"]),
         )
