@@ -25,6 +25,8 @@ _MOST_SAMPLES = 160
 _SMOOTH = 2.0
 """cells, times ``points``, from a boundary of light beyond which the field is taken as even
 within a cell"""
+_STEEP = 1.5
+"""cells from a boundary of light within which a cell is cut in four"""
 _INDOORS = -2.0
 """marks a cell whose middle is indoors"""
 _NEAREST_M = 1e-2
@@ -190,12 +192,24 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                         mean_x += x
                         mean_y += y
                         count += 1
-            if count:
-                x, y = mean_x / count, mean_y / count
-                at = _place(e, x, y, z, source, origin, along)
-                power, _apart = _power(e, at, x, y, z, source, edges, physics, scratch)
+            if count == 0:
+                continue
+            hits += count
+            x, y = mean_x / count, mean_y / count
+            at = _place(e, x, y, z, source, origin, along)
+            power, apart = _power(e, at, x, y, z, source, edges, physics, scratch)
+            if apart > _SMOOTH * points * side:
                 total += power * count
-                hits += count
+                continue
+            # so near to a boundary of light the mean place does not stand for the others
+            for a in range(half):
+                for b in range(half):
+                    x = west + ((part % 2) * half + b + 0.5) / (2 * half) * side
+                    y = south + ((part // 2) * half + a + 0.5) / (2 * half) * side
+                    at = _reached(e, x, y, z, source, origin, along, normals, windows, found, world)
+                    if at >= 0.0:
+                        power, apart = _power(e, at, x, y, z, source, edges, physics, scratch)
+                        total += power
         if hits > 0:
             return total / (4 * half * half)
     return 0.0
@@ -283,15 +297,18 @@ def diffract_edges(
                     )
                     if apart < _SMOOTH * points * side:
                         power = 0.0
-                        for a in range(points):
-                            for b in range(points):
-                                px = x + 0.5 * nodes[0, b] * side
-                                py = y + 0.5 * nodes[0, a] * side
-                                at = _place(e, px, py, z, source, origin, along)
+                        parts = 2 if apart < _STEEP * side else 1
+                        for a in range(points * parts):
+                            py = (2 * (a // points) + 1 + nodes[0, a % points]) / parts - 1.0
+                            for b in range(points * parts):
+                                px = (2 * (b // points) + 1 + nodes[0, b % points]) / parts - 1.0
+                                px, qy = x + 0.5 * px * side, y + 0.5 * py * side
+                                at = _place(e, px, qy, z, source, origin, along)
                                 more, apart = _power(
-                                    e, at, px, py, z, source, edges, physics, scratch
+                                    e, at, px, qy, z, source, edges, physics, scratch
                                 )
-                                power += 0.25 * nodes[1, a] * nodes[1, b] * more
+                                weight = nodes[1, a % points] * nodes[1, b % points]
+                                power += 0.25 * weight / (parts * parts) * more
                     out[j, row, col] += power
             done = 0
             while done < waiting:

@@ -79,8 +79,8 @@ def _angle(x: float, y: float) -> float:
 def diffracted(incoming, outgoing, edge, faces, near, far, theory, material, e_in, slabs, e_out):
     """Write the diffracted field into ``e_out``.
 
-    Returns how far the outgoing ray is from the nearest boundary of light (an angle where it is
-    small), or -1 if a direction lies inside the wedge.
+    Returns how far the outgoing ray is from the nearest boundary of light or face (an angle where
+    it is small), or -1 if a direction lies inside the wedge.
 
     Args:
         incoming: unit direction of the ray that arrives.
@@ -175,7 +175,7 @@ def diffracted(incoming, outgoing, edge, faces, near, far, theory, material, e_i
     e_out[0] = scale * (sum_a * ax + sum_b * bx)
     e_out[1] = scale * (sum_a * ay + sum_b * by)
     e_out[2] = scale * (sum_a * az + sum_b * bz)
-    return 2.0 * min(c1, c2, c3, c4)
+    return min(2.0 * min(c1, c2, c3, c4), phi_out, exterior - phi_out)
 
 
 @numba.njit(cache=True, nogil=True)
