@@ -39,8 +39,10 @@ from skygain.planners.base import Plan, Planner
 from skygain.planners.random_waypoint import RandomWaypointPlanner
 from skygain.planners.search.certificate import certified
 from skygain.planners.search.objectives import Objective
-from skygain.planners.search.path_search import Traffic, beam_path, exact_path, path_value
+from skygain.planners.search.path_gain import path_value
+from skygain.planners.search.path_search import beam_path, exact_path
 from skygain.planners.search.reach import Attention, LocalReach
+from skygain.planners.search.traffic import Traffic
 from skygain.planners.search.tree_search import tree_path
 from skygain.planners.search.volatility import volatility
 from skygain.predictors.base import Belief

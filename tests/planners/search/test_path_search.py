@@ -5,13 +5,9 @@ import pytest
 
 from skygain.flight.airspace import Airspace
 from skygain.planners.search.objectives import Objective
-from skygain.planners.search.path_search import (
-    Reach,
-    Traffic,
-    beam_path,
-    exact_path,
-    path_value,
-)
+from skygain.planners.search.path_gain import Reach, path_value
+from skygain.planners.search.path_search import beam_path, exact_path
+from skygain.planners.search.traffic import Traffic
 
 NOISE = 0.7
 

@@ -1,15 +1,8 @@
 """The best path of one UAV, given what the others will measure: a beam search that scores every
 path exactly.
 
-Let b_v be the whitened covariance of a new cell v with the target cells x, given the cells of the
-path so far. Appending v to a path of k cells costs k products, because only the new row of the
-growing Cholesky factor is computed; the rows before it are those of the parent. With d_v the
-variance of v given the path, and σ² the noise variance of a reading, the gain of v is
-
-- variance:            Σ_x b_v(x)², the fall of the (weighted) posterior variance summed over the
-  targets;
-- entropy:             ½ log(1 + d_v/σ²);
-- mutual information:  ½ log((d_v + σ²)/(d_v|X + σ²)), d_v|X the variance given all targets as well.
+The gain of a cell after the cells before it is that of `path_gain`; the rows of the growing factor
+are those of the parent.
 
 At every depth the search keeps one survivor per cell (or per cell and last move), the best path
 that ends so, and of those the best ``width``. That keeps the beam from filling up with copies of a
@@ -19,14 +12,7 @@ horizons are searched exhaustively by `exact_path`.
 
 from __future__ import annotations
 
-__all__ = [
-    "Reach",
-    "Traffic",
-    "beam_path",
-    "exact_path",
-    "is_clear",
-    "path_value",
-]
+__all__ = ["beam_path", "exact_path"]
 
 from typing import NamedTuple
 
@@ -34,100 +20,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from skygain.flight.airspace import Airspace, keeps_apart, may_enter
+from skygain.flight.airspace import Airspace, may_enter
 from skygain.flight.moves import DCOL, DROW
-from skygain.planners.search.objectives import Objective
-
-
-class Reach(NamedTuple):
-    """Covariances of the cells that one UAV can measure, given everything already measured or
-    planned; single precision."""
-
-    number: NDArray[np.int32]
-    """``[row, col]`` position of a cell among the m measurable cells, −1 for a cell that is passed
-    without counting it"""
-    among: NDArray[np.float32]
-    """``[m, m]`` covariance of the measurable cells"""
-    targets: NDArray[np.float32]
-    """``[m, x]`` covariance of measurable and target cells, columns times the square root of the
-    target's weight"""
-    given_targets: NDArray[np.float32]
-    """``[m, m]`` covariance of the measurable cells given the targets too, for mutual information;
-    else of size 0"""
-    noise_db2: float
-    """σ², noise variance of a reading"""
-    floor_db2: float
-    """variance below which a cell counts as known: measuring it again gains nothing"""
-    objective: Objective
-    """what a path is paid for"""
-
-
-class Traffic(NamedTuple):
-    """Where the other UAVs will be."""
-
-    paths: NDArray[np.int64]
-    """``[uav, step, (row, col)]``; row ``uav`` of the planning UAV itself is not looked at"""
-    known: NDArray[np.int64]
-    """``[uav]`` last step up to which each path is settled; later the UAV is ignored"""
-    left: NDArray[np.int64]
-    """``[uav]`` moves each battery allows"""
-    others: NDArray[np.int64]
-    """UAVs that can come near the planning one"""
-
-    @classmethod
-    def around(
-        cls,
-        uav: int,
-        paths: NDArray[np.int64],
-        known: NDArray[np.int64],
-        left: NDArray[np.int64],
-        min_cells: float,
-    ) -> Traffic:
-        """The traffic that ``uav`` has to look out for within the steps of ``paths``; its cost does
-        not grow with the swarm."""
-        moves = np.abs(paths[:, 0] - paths[uav, 0]).sum(axis=1)
-        near = moves <= 2 * (paths.shape[1] - 1) + np.sqrt(2.0) * min_cells
-        near[uav] = False
-        return cls(paths, known, left, np.flatnonzero(near))
-
-
-@njit(cache=True)
-def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
-    """Whether moving from (row, col) to (to_row, to_col) as move number ``step`` (from 1) keeps
-    clear of the settled paths."""
-    for other in traffic.others:
-        if traffic.left[other] < step:
-            continue
-        if traffic.known[other] == 0:
-            # undecided: leave the cell it holds now alone, so that it can hover
-            if step == 1 and not keeps_apart(
-                to_row, to_col, traffic.paths[other, 0, 0], traffic.paths[other, 0, 1], air
-            ):
-                return False
-            continue
-        if traffic.known[other] < step:
-            continue
-        then_row, then_col = traffic.paths[other, step, 0], traffic.paths[other, step, 1]
-        if not keeps_apart(to_row, to_col, then_row, then_col, air):
-            return False
-        now_row, now_col = traffic.paths[other, step - 1, 0], traffic.paths[other, step - 1, 1]
-        swaps = then_row == row and then_col == col and now_row == to_row and now_col == to_col
-        if air.separate and swaps:
-            return False
-    return True
-
-
-class Rows(NamedTuple):
-    """Measured cells with their rows of a growing Cholesky factor, one per line."""
-
-    cell: NDArray[np.int64]
-    """``[line]`` measurable cell"""
-    factor: NDArray[np.float32]
-    """``[line, depth]`` its row of the factor"""
-    given: NDArray[np.float32]
-    """``[line, depth]`` the same given the targets, for mutual information; else one line"""
-    image: NDArray[np.float32]
-    """``[line, x]`` its whitened covariance with the targets, for the variance; else no columns"""
+from skygain.planners.search.path_gain import (
+    Reach,
+    Rows,
+    copied,
+    gain_of,
+    gains_alone,
+    rows_for,
+)
+from skygain.planners.search.traffic import Traffic, is_clear
 
 
 class Tree(NamedTuple):
@@ -180,81 +83,6 @@ class Window(NamedTuple):
 
 
 @njit(cache=True)
-def _rows(lines, depth, reach):
-    """Room for ``lines`` rows of up to ``depth`` entries."""
-    targets = reach.targets.shape[1] if reach.objective == Objective.VARIANCE else 0
-    both = reach.objective == Objective.MUTUAL_INFORMATION
-    return Rows(
-        np.full(lines, -1),
-        np.empty((lines, depth), dtype=np.float32),
-        np.empty((lines if both else 1, depth), dtype=np.float32),
-        np.empty((lines, targets), dtype=np.float32),
-    )
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _gain(cell, chain, depth, rows, reach, out, line):
-    """Gain of measuring ``cell`` after the ``depth`` lines ``chain`` of ``rows``; fills its own
-    ``line`` of ``out``. −1 if the cell is known or on the path already."""
-    row = out.factor[line]
-    variance = reach.among[cell, cell]
-    for j in range(depth):
-        if rows.cell[chain[j]] == cell:
-            return -1.0
-        value = reach.among[cell, rows.cell[chain[j]]]
-        above = rows.factor[chain[j]]
-        for i in range(j):
-            value -= row[i] * above[i]
-        row[j] = value / above[j]
-        variance -= row[j] * row[j]
-    if variance <= reach.floor_db2:
-        return -1.0
-    total = variance + reach.noise_db2
-    row[depth] = np.sqrt(total)
-    if reach.objective == Objective.ENTROPY:
-        return 0.5 * np.log(total / reach.noise_db2)
-    if reach.objective == Objective.MUTUAL_INFORMATION:
-        row_given = out.given[line]
-        given = reach.given_targets[cell, cell]
-        for j in range(depth):
-            value = reach.given_targets[cell, rows.cell[chain[j]]]
-            above = rows.given[chain[j]]
-            for i in range(j):
-                value -= row_given[i] * above[i]
-            row_given[j] = value / above[j]
-            given -= row_given[j] * row_given[j]
-        given = max(given, 0.0) + reach.noise_db2
-        row_given[depth] = np.sqrt(given)
-        return 0.5 * np.log(total / given)
-    image = out.image[line]
-    n = reach.targets.shape[1]
-    source = reach.targets[cell]
-    for x in range(n):
-        image[x] = source[x]
-    for j in range(depth):
-        weight, above = row[j], rows.image[chain[j]]
-        for x in range(n):
-            image[x] -= weight * above[x]
-    scale = np.float32(1.0) / row[depth]
-    gain = np.float32(0.0)
-    for x in range(n):
-        image[x] *= scale
-        gain += image[x] * image[x]
-    return float(gain)
-
-
-@njit(cache=True)
-def _copied(source, line, to, node, objective):
-    """Copy one line of rows to another."""
-    to.cell[node] = source.cell[line]
-    to.factor[node] = source.factor[line]
-    if objective == Objective.MUTUAL_INFORMATION:
-        to.given[node] = source.given[line]
-    if objective == Objective.VARIANCE:
-        to.image[node] = source.image[line]
-
-
-@njit(cache=True)
 def _chain_of(node, before, chain):
     """Nodes measured on the way to the measured ``node``, earliest first, in ``chain``; returns how
     many."""
@@ -267,26 +95,6 @@ def _chain_of(node, before, chain):
         chain[j] = k
         k = before[k]
     return depth
-
-
-@njit(cache=True)
-def _gains_alone(reach: Reach):
-    """``[m]`` gain of each measurable cell on its own.
-
-    Entropy gains only shrink along a path. Variance gains nearly always do; the search may lose a
-    path where they grow.
-    """
-    out = np.full(len(reach.among), np.inf)
-    if reach.objective == Objective.MUTUAL_INFORMATION:
-        return out
-    for cell in range(len(out)):
-        variance = reach.among[cell, cell]
-        if reach.objective == Objective.ENTROPY:
-            out[cell] = 0.5 * np.log(1.0 + max(variance, 0.0) / reach.noise_db2)
-        else:
-            image = reach.targets[cell]
-            out[cell] = np.dot(image, image) / max(variance + reach.noise_db2, reach.floor_db2)
-    return out
 
 
 @njit(cache=True)
@@ -313,7 +121,7 @@ def _grow(uav, step, first, end, by_move, order, tree, layer, window, alone, rea
                     continue  # it cannot win
             if cell >= 0:
                 line = layer.line[scratch]
-                gain = _gain(cell, chain, depth, tree.rows, reach, layer.rows, line)
+                gain = gain_of(cell, chain, depth, tree.rows, reach, layer.rows, line)
             total = tree.value[node] + max(gain, 0.0)
             if mine < 0:
                 mine = count
@@ -342,7 +150,7 @@ def _keep(chosen, end, tree, layer, objective):
         if layer.cell[c] >= 0:
             tree.last[node], tree.before[node] = node, before
             layer.rows.cell[layer.line[c]] = layer.cell[c]
-            _copied(layer.rows, layer.line[c], tree.rows, node, objective)
+            copied(layer.rows, layer.line[c], tree.rows, node, objective)
 
 
 @njit(cache=True)
@@ -380,7 +188,7 @@ def beam_path(
         np.full(most, -1),
         np.full(most, -1),
         np.zeros(most),
-        _rows(most, horizon, reach),
+        rows_for(most, horizon, reach),
     )
     layer = Layer(
         np.full(4 * window.side * window.side, -1),
@@ -390,9 +198,9 @@ def beam_path(
         np.empty(room, dtype=np.int64),
         np.empty(room),
         np.arange(room + 1),
-        _rows(room + 1, horizon, reach),
+        rows_for(room + 1, horizon, reach),
     )
-    alone = _gains_alone(reach)
+    alone = gains_alone(reach)
     tree.at[0] = horizon * window.side + horizon
     first, end = 0, 1
     for step in range(1, horizon + 1):
@@ -412,24 +220,6 @@ def beam_path(
 
 
 @njit(cache=True)
-def path_value(path, reach: Reach):
-    """Objective of one path ``[k + 1, (row, col)]``, its first cell not counted."""
-    n = len(path)
-    rows, chain = _rows(n, n, reach), np.arange(n)
-    depth, total = 0, 0.0
-    for k in range(1, n):
-        cell = reach.number[path[k, 0], path[k, 1]]
-        if cell < 0:
-            continue
-        gain = _gain(cell, chain, depth, rows, reach, rows, depth)
-        if gain >= 0:
-            rows.cell[depth] = cell
-            total += gain
-            depth += 1
-    return total
-
-
-@njit(cache=True)
 def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: Airspace):
     """Like `beam_path`, over all paths, depth first: up to 4·3^(horizon − 1) of them, more where
     turning back pays."""
@@ -440,7 +230,7 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
     choice = np.full(horizon + 1, -1)
     values = np.zeros(horizon + 1)
     depths = np.zeros(horizon + 1, dtype=np.int64)  # measured cells up to each step
-    rows, chain = _rows(horizon + 1, horizon + 1, reach), np.arange(horizon + 1)
+    rows, chain = rows_for(horizon + 1, horizon + 1, reach), np.arange(horizon + 1)
     best_length, best_value = 0, 0.0
     step = 0
     while step >= 0:
@@ -460,7 +250,7 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
             continue
         cell, gain, depth = reach.number[to_row, to_col], -1.0, depths[step]
         if cell >= 0:
-            gain = _gain(cell, chain, depth, rows, reach, rows, depth)
+            gain = gain_of(cell, chain, depth, rows, reach, rows, depth)
         step += 1
         path[step, 0], path[step, 1] = to_row, to_col
         depths[step] = depth

@@ -24,7 +24,7 @@ from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.flight.ways import distances_within
 from skygain.planners.search.objectives import Objective
-from skygain.planners.search.path_search import Reach
+from skygain.planners.search.path_gain import Reach
 
 Floats = NDArray[np.float32]
 

@@ -16,7 +16,8 @@ from numba import njit
 
 from skygain.flight.airspace import Airspace, may_enter
 from skygain.flight.moves import DCOL, DROW
-from skygain.planners.search.path_search import Reach, Traffic, is_clear, path_value
+from skygain.planners.search.path_gain import Reach, path_value
+from skygain.planners.search.traffic import Traffic, is_clear
 
 EXPLORATION = 0.3
 """weight of the confidence bound, for values between 0 and 1"""
