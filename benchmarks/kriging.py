@@ -13,12 +13,17 @@ import numpy as np
 
 from benchmarks.record import Table
 from benchmarks.study import Option, Run, study
+from skygain.cities.manhattan import ManhattanConfig, manhattan_city
 from skygain.city import City
+from skygain.flight.starts import start_cells
+from skygain.flight.swarm import Swarm
 from skygain.grid import Grid
 from skygain.measurements import Measurements
+from skygain.planners import create_planner
 from skygain.posterior import Posterior
 from skygain.predictors import create_predictor
 from skygain.predictors.kriging.parameters import KrigingParameters
+from skygain.propagation.diffraction import over_rooftop_gain_db
 from skygain.propagation.gudmundson import shadowing_db
 from skygain.scenario import Scenario
 
@@ -177,3 +182,69 @@ def local_kriging_scaling(run: Run) -> list[Table]:
     head = ["cells", "measurements", "whole map, s", "one step, s", "peak memory, MiB"]
     head += ["added, MiB", "Kriging: whole map, s", "one step, s", "difference, rms", "largest"]
     return [Table(title, head, rows)]
+
+
+BLOCK_M = 97.2
+"""side of a block of the cities with a street, so that large ones have as many"""
+
+
+@study(
+    "local_cover",
+    sides=Option((300, 700), "cells along the edge of the map"),
+    cities=Option((8, 9), "seeds of the cities"),
+)
+def local_cover(run: Run) -> list[Table]:
+    """How often local Kriging's 90 % interval holds the truth on maps much larger than the survey.
+
+    Over-rooftop gain of a transmitter in the middle of a generated city; three UAVs start close to
+    each other, once anywhere and once around the transmitter, and fly 300 steps of random
+    waypoints.
+    """
+    rows = []
+    for side in run.options.sides:
+        for seed in run.options.cities:
+            found = run.once((side, seed), lambda s=side, c=seed: covers(s, c))
+            rows += [[f"{side:,} × {side:,}", f"{seed}", *row] for row in found]
+    title = "Three UAVs, 300 steps; RMSE and standard deviation in dB over unvisited outdoor cells."
+    head = ["cells", "city", "start", "told", "RMSE", "root mean variance", "90 % cover"]
+    return [Table(title, head, rows)]
+
+
+def covers(side: int, seed: int) -> list[list[str]]:
+    """Rows of one city: where the swarm starts, whether the transmitter is told, and how the map
+    agrees."""
+    extent = side * 4.0
+    city = manhattan_city(seed, ManhattanConfig(extent_m=extent, blocks=round(extent / BLOCK_M)))
+    free = np.argwhere(city.height_m == 0)
+    middle = free[np.argmin(((free - side / 2) ** 2).sum(axis=1))]
+    x, y = city.grid.xy_m(middle[None])[0].tolist()
+    source = (x, y, 1.5)
+    told = Scenario(city, transmitter_m=source)
+    gain = over_rooftop_gain_db(city, [source], [told.uav_altitude_m], frequency_hz=5e9)
+    truth_db = np.asarray(gain, dtype=float).reshape(city.grid.shape)
+    rows = []
+    for start in ("anywhere", "at the transmitter"):
+        rng = np.random.default_rng(seed)
+        cells = start_cells("cluster", told, 3, rng)
+        if start != "anywhere":
+            cells = free[np.argsort(((free - middle) ** 2).sum(axis=1))[:3]]
+        swarm = Swarm.deployed(told, cells, 300)
+        paths = create_planner("random-waypoint").plan(swarm, None, 300, rng).paths.reshape(-1, 2)
+        for scenario in (told, told.without_transmitter()):
+            belief = create_predictor("local-kriging").begin(scenario)
+            for part in np.array_split(paths, 4):
+                belief = belief.updated(Measurements.at(part, truth_db[tuple(part.T)]))
+            left = told.outdoor.copy()
+            left[tuple(paths.T)] = False
+            posterior = belief.posterior()
+            error, std = (posterior.mean_db - truth_db)[left], posterior.std_db[left]
+            rows.append(
+                [
+                    start,
+                    "no" if scenario.transmitter_m is None else "yes",
+                    f"{np.sqrt(np.mean(error**2)):.1f}",
+                    f"{np.sqrt(np.mean(std**2)):.1f}",
+                    f"{np.mean(np.abs(error) <= 1.645 * std):.1%}",
+                ]
+            )
+    return rows

@@ -139,3 +139,11 @@ def test_far_from_the_transmitter_the_slope_may_change(slope_db, rng):
 def test_within_the_trained_reach_nothing_changes():
     scenario = example_scenario()
     assert len(create_predictor("local-kriging").begin(scenario).parameters.trend) == 2
+
+
+def test_without_a_transmitter_doubt_grows_with_the_distance_to_the_readings(rng):
+    setting = scenario((8, 600))
+    cells = np.argwhere(np.ones((8, 40), dtype=bool))[rng.permutation(320)[:60]]
+    data = Measurements.at(cells, -100 + 5 * rng.standard_normal(60))
+    std = grown(create_predictor("local-kriging", refit=False), setting, data, 2).std_db[4]
+    assert std[70] + 5 < std[300] < std[599] - 3

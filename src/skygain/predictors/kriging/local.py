@@ -5,7 +5,9 @@ Every cell is predicted from the ``neighbours`` measured cells nearest to it. Wi
 covariance the near ones screen the far ones, so that a few dozen lose little. The trend's
 coefficients are shared by the whole map and learned from `TREND_ROWS` of the measurements. Up to
 ``neighbours`` measurements the belief is exactly that of
-`skygain.predictors.kriging.known_source.KrigingPredictor`.
+`skygain.predictors.kriging.known_source.KrigingPredictor`, save one: without a transmitter nothing
+says how the level changes over kilometres, so beyond 200 m from the nearest reading the variance
+grows with distance.
 
 An update notes the readings and keeps the parameters fitted. The map is predicted when it is asked
 for, and then only the cells whose neighbourhood has changed since it last was. Cells are handled in
@@ -54,6 +56,11 @@ TREND_ROWS = 1000
 and cost their cube"""
 UNTIED = 1e-3
 """cells by which positions are moved at most to tell equally near ones apart"""
+DRIFT_FROM_M = 200.0
+"""distance from the nearest reading beyond which a level of unknown origin may drift away"""
+DRIFT_DB = 30.0
+"""standard deviation of that drift in dB per decade of distance, without a transmitter: about what
+path loss does"""
 CHUNK = 16384
 """cells a thread handles at a time"""
 
@@ -163,9 +170,9 @@ class _State:
     weighted: Array  # [P] w·y
     leftover: Array  # [P, q] h − w·H
     variance: Array  # [P] of the field given the neighbours
-    reach: (
-        Array  # [P] distance in cells of the farthest neighbour, infinite while there are too few
-    )
+    # [P] distances in cells of the nearest neighbour, and of the farthest; infinite while missing
+    nearest: Array
+    reach: Array
 
     def coefficients(self) -> tuple[Array, Array]:
         """Mean ``[q]`` and covariance ``[q, q]`` of the trend's coefficients."""
@@ -184,6 +191,9 @@ class _State:
         variance = self.variance + np.einsum(
             "pq,qr,pr->p", self.leftover, covariance, self.leftover
         )
+        if self.leftover.shape[1] == 1 and len(self.readings):  # no transmitter: the level drifts
+            away = self.nearest * setting.scenario.grid.spacing_m / DRIFT_FROM_M
+            variance += (DRIFT_DB * np.log10(np.maximum(away, 1.0))) ** 2
         if setting.one_plane:
             exact = self.readings.noise_db2 == 0
             mean[self.readings.cells[exact]] = self.readings.gain_db[exact]
@@ -216,6 +226,7 @@ def _unobserved(setting: _Setting, parameters: KrigingParameters) -> _State:
         weighted=np.zeros(size),
         leftover=setting.columns,
         variance=np.full(size, kernels[0].variance_db2),
+        nearest=np.full(size, np.inf),
         reach=np.full(size, np.inf),
     )
 
@@ -244,14 +255,14 @@ def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
     tree = cKDTree(_untied(grid.cells[data.cells], data.cells))
     k = predictor.neighbours
     weighted, leftover = state.weighted.copy(), state.leftover.copy()
-    variance, reach = state.variance.copy(), state.reach.copy()
+    variance, closest, reach = state.variance.copy(), state.nearest.copy(), state.reach.copy()
 
     def handle(first: int) -> int:
         some = cells[first : first + CHUNK]
         distance, nearest = tree.query(grid.cells[some], k=np.arange(1, k + 1))
         y, h, var = neighbour_weights(some, nearest, observations, field)
         weighted[some], leftover[some], variance[some] = y, setting.columns[some] - h, var
-        reach[some] = distance[:, -1]
+        closest[some], reach[some] = distance[:, 0], distance[:, -1]
         return len(some)
 
     done = 0
@@ -260,7 +271,14 @@ def _predicted(setting: _Setting, state: _State, cells: Flat) -> _State:
             done += count
             if predictor.progress is not None:
                 predictor.progress(done, len(cells))
-    return replace(state, weighted=weighted, leftover=leftover, variance=variance, reach=reach)
+    return replace(
+        state,
+        weighted=weighted,
+        leftover=leftover,
+        variance=variance,
+        nearest=closest,
+        reach=reach,
+    )
 
 
 def _with_trend(setting: _Setting, state: _State) -> _State:
