@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import signal
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> object:
 def test_killed_anywhere_it_goes_on_to_the_same_table(
     tmp_path: Path, whole: object, trial: int
 ) -> None:
-    number = SIGNALS[(trial + 1) % len(SIGNALS)]
+    number = [*SIGNALS, signal.SIGINT][(trial + 1) % (1 + len(SIGNALS))]
     child = skygain(*ASKED, "--out", tmp_path)
     lines = random.Random(trial).randint(1, LINES - 1)
     wait_for_lines(tmp_path / "rollouts.jsonl", lines, child)

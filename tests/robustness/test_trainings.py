@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,37 +16,47 @@ from .processes import SIGNALS, TRIALS, ended, small_disk, wait_for_lines
 
 pytest.importorskip("torch")
 
-TRAIN = """
+BEGUN = """
 import sys
 from skygain.app import commands
 from skygain.app.signals import stopping, Terminated
 from skygain.ground.errors import InputError
 from skygain.training import train_predictor
+from skygain.training.policies.recipes import train_policy
 from skygain.training.run import stop_runs
 try:
     with stopping(stop_runs, commands.STOPPING):
-        train_predictor(
-            "unet", sys.argv[1], sys.argv[2], finish=8, batch_size=2, validation_samples=32,
-            checkpoint_seconds=0.0, validate_steps=2, workers=1, bf16=False,
-        )
+        {}
 except InputError as error:
-    sys.exit(f"error: {error}")
+    sys.exit(f"error: {{error}}")
 except Terminated as end:
     sys.exit(128 + end.number)
 """
+TRAIN = {
+    "unet": BEGUN.format(
+        "train_predictor('unet', sys.argv[1], sys.argv[2], finish=8, batch_size=2, workers=1,"
+        " validation_samples=32, checkpoint_seconds=0.0, validate_steps=2, bf16=False)"
+    ),
+    "dqn-rewards-only": BEGUN.format(
+        "train_policy('dqn-rewards-only', sys.argv[1], sys.argv[2], total_steps=60, side=32,"
+        " predictor='idw', split='T1', steps=8, lanes=2, n_uavs=2, warmup=24, capacity=80,"
+        " batch_size=8, learn_every=2, checkpoint_steps=5, log_steps=5, bf16=False)"
+    ),
+}
 
 
-def training(folder: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", TRAIN, str(SAMPLE), str(folder)]
+def training(folder: Path, recipe: str = "unet") -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", TRAIN[recipe], str(SAMPLE), str(folder)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+@pytest.fixture(scope="module", params=list(TRAIN))
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The weights of a training left alone."""
     folder = tmp_path_factory.mktemp("whole")
-    code, _, err = ended(training(folder))
+    code, _, err = ended(training(folder, request.param))
     assert code == 0, err
-    return (folder / "unet.safetensors").read_bytes()
+    return folder / f"{request.param}.safetensors"
 
 
 def weights(path: Path) -> dict[str, bytes]:
@@ -57,11 +68,10 @@ def weights(path: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("trial", range(max(1, TRIALS // 4)))
 def test_killed_anywhere_it_goes_on_to_the_same_weights(
-    tmp_path: Path, whole: bytes, trial: int
+    tmp_path: Path, whole: Path, trial: int
 ) -> None:
-    (tmp_path / "whole.safetensors").write_bytes(whole)
-    number = SIGNALS[(trial + 1) % len(SIGNALS)]
-    child = training(tmp_path)
+    number = [*SIGNALS, signal.SIGINT][(trial + 1) % (1 + len(SIGNALS))]
+    child = training(tmp_path, whole.stem)
     wait_for_lines(tmp_path / "log.jsonl", random.Random(trial).randint(1, 3), child)
     child.send_signal(number)
     code, _, err = ended(child)
@@ -69,9 +79,9 @@ def test_killed_anywhere_it_goes_on_to_the_same_weights(
     if code == 128 + number:
         assert "finished and saved" in err
         assert "Traceback" not in err
-    code, _, err = ended(training(tmp_path))
+    code, _, err = ended(training(tmp_path, whole.stem))
     assert code == 0, err
-    assert weights(tmp_path / "unet.safetensors") == weights(tmp_path / "whole.safetensors")
+    assert weights(tmp_path / whole.name) == weights(whole)
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:

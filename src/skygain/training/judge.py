@@ -213,7 +213,8 @@ def _flown(config: JudgeConfig, split: str, report: Report) -> list[_Sample]:
         weights=config.operator,
         locator=config.locator,
         judge="",
-        settings=OperatorSettings(coarse_m=COARSE_M),
+        # every candidate has a map
+        settings=OperatorSettings(coarse_m=COARSE_M, first_maps=10_000),
     )
     files = flown_cities(
         "judge-pool",
@@ -287,7 +288,7 @@ def _sample(belief: OperatorBelief, view: View, unvisited: NDArray[np.bool_]) ->
     search = belief.search
     assert search is not None
     inputs = judge_inputs(belief.terms, len(belief.cells), *search.standing())
-    place = search.evidence.grid.position[search.chosen, :2] * belief.scenario.grid.spacing_m
+    place = search.evidence.grid.position[search.candidates(), :2] * belief.scenario.grid.spacing_m
     away = np.hypot(*(place - np.array(view.transmitter[:2]) * belief.scenario.grid.spacing_m).T)
     near = np.exp(-0.5 * (away**2 - away.min() ** 2) / NEAR_M**2) * (
         (away < AT_MOST_M) | (away == away.min())

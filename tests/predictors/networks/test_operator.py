@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from skygain.fields.residual_field import SMALLEST_VARIANCE, CorrelationModel, ResidualField
+from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
 from skygain.networks.operator.judge import INPUTS, TERMS, CandidateJudge, error_terms, judge_inputs
 from skygain.networks.operator.locator import LocatorNet
@@ -30,6 +31,7 @@ def begun(scenario, **changes):
         "fine_at_most": 5000,
         "coarse_m": 32.0,
         "at_most": 300,
+        "first_maps": 300,
         "height_z_m": 1.5,
     }
     return TransmitterSearch.begun(scenario, **{**options, **changes})
@@ -174,7 +176,7 @@ def test_the_first_candidates_are_no_more_than_allowed():
 
 def test_large_maps_begin_with_fewer_candidates(predictor, monkeypatch):
     scenario = example_scenario(transmitter=False)
-    many = replace(predictor, settings=replace(QUICK, at_most=1000, coarse_m=8.0))
+    many = replace(predictor, settings=replace(QUICK, at_most=1000, first_maps=1000, coarse_m=8.0))
     monkeypatch.setattr(operator, "FIRST_ALWAYS", 12)
     monkeypatch.setattr(operator, "FIRST_WORK", 40 * scenario.outdoor.size)
     assert 12 < len(many.begin(scenario).candidates) <= 40
@@ -219,3 +221,46 @@ def test_another_altitude_for_the_map_than_for_the_flight(predictor):
     posterior = predictor.begin(scenario).updated(Measurements.at([[0, 0]], [-90.0])).posterior()
     assert np.isfinite(posterior.mean_db).all()
     assert (posterior.variance_db2 > 0).all()
+
+
+def test_candidates_get_their_maps_with_the_first_updates(predictor, rng):
+    scenario = example_scenario(transmitter=False)
+    slow = replace(predictor, settings=replace(QUICK, first_maps=6, woken=5))
+    belief = slow.begin(scenario)
+    assert 1 < len(belief.candidates) <= 6
+    assert np.isclose(belief.weights().sum(), 1)
+    everyone = len(belief.search.chosen)
+    free = np.argwhere(scenario.flyable)
+    for cell in free[rng.permutation(len(free))[:8]]:
+        before = belief
+        belief = belief.updated(Measurements.at(cell[None], rng.uniform(-130, -70, 1)))
+        assert len(belief.candidates) <= len(before.candidates) + 5 + 1
+        assert np.isclose(belief.search.probability.sum(), 1)
+    assert set(range(everyone)) <= set(belief.search.mapped.tolist())
+
+
+def test_what_is_unlikely_gets_no_map_unless_everything_is_wanted(predictor, rng):
+    scenario = example_scenario(transmitter=False)
+    few = replace(predictor, covered=0.5, settings=replace(QUICK, first_maps=2))
+    free = np.argwhere(scenario.flyable)
+    cells = free[rng.permutation(len(free))[:6]]
+    belief = few.begin(scenario).updated(Measurements.at(cells, rng.uniform(-130, -70, 6)))
+    search = belief.search
+    mass = np.bincount(search.nearest, search.located, minlength=len(search.chosen))
+    assert mass[search.mapped].sum() >= 0.5 - 1e-9
+    assert len(search.mapped) < len(search.chosen)
+    with pytest.raises(InputError, match="covered must be above 0"):
+        replace(predictor, covered=0.0)
+
+
+def test_the_likeliest_candidates_wake_first(rng):
+    search = begun(example_scenario(transmitter=False), coarse_m=16.0, first_maps=5)
+    located = rng.random(len(search.located)) ** 4
+    search = replace(search, located=located / located.sum())
+    mass = np.bincount(search.nearest, search.located, minlength=len(search.chosen))
+    woken = search.woken(1.0, 7).mapped
+    new, asleep = woken[-7:], np.setdiff1d(np.arange(len(mass)), woken)
+    assert np.array_equal(woken[:-7], search.mapped)
+    assert mass[new].min() >= mass[asleep].max()
+    half = search.woken(0.5, 1000).mapped
+    assert mass[half].sum() >= 0.5 > mass[half[:-1]].sum()

@@ -5,11 +5,11 @@ Two networks say where the transmitter is. The path model (`skygain.networks.ope
 predicts every reading from every square of an 8 m grid over the map and 102 m around it; the sums
 of its errors are the input of the locator (`skygain.networks.operator.locator`), which answers with
 the probability of every square. The propagation operator (`skygain.networks.operator.network`) is
-better and dear: its maps exist for several hundred candidate positions, evenly spread at first, and
-every square is represented by the candidate nearest to it. A third network, the judge
-(`skygain.networks.operator.judge`), weighs the candidates by how their maps agree with the
-readings. With each update a candidate is added where that takes most of the probability closest to
-its representative.
+better and dear. Several hundred candidate positions, evenly spread, get a map with the first
+updates, the likeliest first, and every square is represented by the candidate nearest to it. A
+third network, the judge (`skygain.networks.operator.judge`), weighs the candidates by how their
+maps agree with the readings. With each update a candidate is added where that takes most of the
+probability closest to its representative.
 
 The posterior is the mixture of the candidates' maps, each corrected by Kriging of its residual
 (`residual_field`), summarised by its first two moments, the disagreement between candidates
@@ -31,6 +31,7 @@ from scipy.linalg import solve_triangular
 
 from skygain.fields.mixture_posterior import MixturePosterior
 from skygain.fields.residual_field import CorrelationModel, ResidualField
+from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
 from skygain.networks.operator.judge import TERMS, error_terms, judge_inputs
 from skygain.predictors.base import Belief, Predictor
@@ -80,6 +81,10 @@ class OperatorSettings:
     """spacing of the first candidates"""
     at_most: int = 1000
     """largest number of first candidates; their spacing grows until it holds"""
+    first_maps: int = 64
+    """so many of them have a map before the first reading"""
+    woken: int = 48
+    """largest number of them that get one with an update, the likeliest first"""
     fine_m: float = 8.0
     """side of the squares whose probability is judged"""
     fine_at_most: int = 8000
@@ -97,7 +102,11 @@ class OperatorSettings:
 
 @dataclass(frozen=True)
 class OperatorPredictor(Predictor):
-    """See the module; the transmitter's position is used when the scenario gives it."""
+    """See the module; the transmitter's position is used when the scenario gives it.
+
+    Raises:
+        InputError: ``covered`` is not a share.
+    """
 
     weights: str | Path = "operator"
     """name or file of the network's weights"""
@@ -108,6 +117,9 @@ class OperatorPredictor(Predictor):
     judge: str | Path = "judge"
     """name or file of the judge's weights; empty for none: then the locator alone weighs the
     candidates"""
+    covered: float = 1.0
+    """share of the locator's probability from which on the other candidates need no map; with less
+    than 1 a survey is quicker and a little less accurate"""
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     """inference settings"""
     runtime: str = "onnx"
@@ -117,6 +129,10 @@ class OperatorPredictor(Predictor):
     )
     """used when known, inferred when not"""
     _kept: OrderedDict = field(init=False, repr=False, compare=False, default_factory=OrderedDict)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.covered <= 1.0:
+            raise InputError(f"covered must be above 0 and at most 1, got {self.covered:g}")
 
     def memory_bytes(self, cells: int, readings: int) -> float:
         """Each reading is tied to every cell in a buffer that doubles when it is full; each
@@ -152,9 +168,10 @@ class OperatorPredictor(Predictor):
                 at_most=min(
                     settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // scenario.outdoor.size)
                 ),
+                first_maps=settings.first_maps,
                 height_z_m=maps.height_z_m,
             )
-            indices = maps.indices(search.positions(search.chosen))
+            indices = maps.indices(search.positions(search.candidates()))
         whitened, terms = (
             np.empty((0, len(indices)), dtype=np.float32),
             np.zeros((len(TERMS), len(indices)), dtype=np.float32),
@@ -175,6 +192,7 @@ class OperatorPredictor(Predictor):
             none,
             none,
             {},
+            self.covered,
         )
 
     def _maps(self, scenario: Scenario) -> OperatorMaps:
@@ -212,7 +230,7 @@ class OperatorBelief(Belief):
     maps: OperatorMaps
     """candidate maps, shared with other beliefs over the same city"""
     candidates: NDArray[np.int64]
-    """``[c]`` index of each candidate's map"""
+    """``[c]`` index of the map of each candidate that has one"""
     whitened: NDArray[np.float32]
     """``[n, c]`` L⁻¹ z_c of the softened residuals, for Kriging"""
     terms: NDArray[np.float32]
@@ -229,6 +247,8 @@ class OperatorBelief(Belief):
     """``[n]`` their noise variances"""
     exact: dict[int, float]
     """raveled cell → gain, of exact readings"""
+    covered: float = 1.0
+    """share of the locator's probability that candidates with a map have to reach"""
 
     def weights(self) -> NDArray[np.float64]:
         """``[c]`` posterior probability of each candidate."""
@@ -385,14 +405,14 @@ class OperatorBelief(Belief):
         ).judged()
 
     def _refined(self, news: int) -> OperatorBelief:
-        """With candidates added for ``news`` readings, whose maps are computed if no belief over
-        this city has asked for them before."""
+        """With maps for likely candidates and with candidates added for ``news`` readings; a map is
+        computed if no belief over this city has asked for it before."""
         if self.search is None:
             return self
-        search = self.search.refined(
+        search = self.search.woken(self.covered, self.settings.woken).refined(
             min(-(-news // READINGS_PER_MAP), MAPS_AT_ONCE), self.settings.gain_m
         )
-        joining = self.maps.indices(search.positions(search.chosen[len(self.candidates) :]))
+        joining = self.maps.indices(search.positions(search.candidates()[len(self.candidates) :]))
         if not len(joining):
             return self
         L = np.tril(self.residual.W[:, self.cells].T, -1)

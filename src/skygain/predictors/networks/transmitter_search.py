@@ -11,6 +11,10 @@ A gain map can be computed for a few of the squares only, the candidates. Every 
 represented by the candidate nearest to it, and a candidate's weight is the probability of all it
 represents. Candidates are added one by one, each where it shortens the mean distance between a
 square and its representative most.
+
+Not all candidates have a map at once. The mapped ones are a few, evenly spread, before the first
+reading; with each update more join, the likeliest first. The rest waits with the probability that
+the locator gives it.
 """
 
 from __future__ import annotations
@@ -56,6 +60,8 @@ class TransmitterSearch:
     """``[k]`` candidate that represents each square"""
     distance_m: Floats
     """``[k]`` to it"""
+    mapped: NDArray[np.int64]
+    """``[a]`` which of the candidates have a map, in the order in which they got it"""
     spacing_m: float
     """side of a cell"""
 
@@ -69,9 +75,11 @@ class TransmitterSearch:
         fine_at_most: int,
         coarse_m: float,
         at_most: int,
+        first_maps: int,
         height_z_m: float,
     ) -> TransmitterSearch:
-        """Before the first reading, with evenly spread candidates."""
+        """Before the first reading, with evenly spread candidates of which at most ``first_maps``
+        are mapped."""
         from skygain.networks.operator.evidence import EvidenceSums, PositionGrid
 
         spacing, heights = scenario.grid.spacing_m, scenario.city.height_m
@@ -89,44 +97,67 @@ class TransmitterSearch:
         apart = _apart(place, place[chosen])
         nearest = apart.argmin(axis=1)
         distance = apart[np.arange(len(place)), nearest]
+        mapped = np.arange(len(chosen))
+        while len(mapped) > first_maps:
+            step += 1
+            mapped = _spread(grid.index[chosen], grid.shape, step)
         prior = grid.prior / grid.prior.sum()
-        return cls(EvidenceSums.none(grid), prior, prior, chosen, nearest, distance, spacing)
+        evidence = EvidenceSums.none(grid)
+        return cls(evidence, prior, prior, chosen, nearest, distance, mapped, spacing)
 
     def positions(self, squares: NDArray[np.int64]) -> list[tuple[float, ...]]:
         """(row, col, z) of ``squares``."""
         return [tuple(p) for p in self.evidence.grid.position[squares].tolist()]
 
+    def candidates(self) -> NDArray[np.int64]:
+        """``[a]`` squares of the mapped candidates."""
+        return self.chosen[self.mapped]
+
     def weights(self) -> Floats:
-        """``[c]`` probability of each candidate."""
-        return np.bincount(self.nearest, self.probability, minlength=len(self.chosen)).astype(float)
+        """``[a]`` probability of each mapped candidate if it is one of them."""
+        weight = self._mass(self.probability)[self.mapped]
+        return weight / weight.sum()
 
     def spread_m(self) -> Floats:
-        """``[c]`` root mean squared distance between each candidate and what it represents."""
-        return self._spread(self.probability)
+        """``[a]`` root mean squared distance between each mapped candidate and what it
+        represents."""
+        return self._spread(self.probability)[self.mapped]
+
+    def _mass(self, probability: Floats) -> Floats:
+        return np.bincount(self.nearest, probability, minlength=len(self.chosen)).astype(float)
 
     def _spread(self, probability: Floats) -> Floats:
-        mass = np.bincount(self.nearest, probability, minlength=len(self.chosen))
-        square = np.bincount(
-            self.nearest, probability * self.distance_m**2, minlength=len(self.chosen)
-        )
-        return np.sqrt(square / np.maximum(mass, 1e-300))
+        square = self._mass(probability * self.distance_m**2)
+        return np.sqrt(square / np.maximum(self._mass(probability), 1e-300))
 
     def standing(self) -> tuple[Floats, NDArray[np.int64], Floats]:
-        """Of each candidate: the locator's probability of what it represents, how many squares that
-        is, and their spread in m."""
-        mass = np.bincount(self.nearest, self.located, minlength=len(self.chosen)).astype(float)
-        return (
-            mass,
-            np.bincount(self.nearest, minlength=len(self.chosen)),
-            self._spread(self.located),
-        )
+        """Of each mapped candidate: the locator's probability of what it represents, how many
+        squares that is, and their spread in m."""
+        squares = np.bincount(self.nearest, minlength=len(self.chosen))
+        parts = self._mass(self.located), squares, self._spread(self.located)
+        return tuple(part[self.mapped] for part in parts)  # type: ignore[return-value]
 
     def judged(self, weight: Floats) -> TransmitterSearch:
-        """With the probability ``weight[c]`` of each candidate shared among the squares that it
-        represents as the locator shares it."""
+        """With the probability ``weight[a]`` of each mapped candidate if it is one of them, shared
+        among the squares that it represents as the locator shares it; what the locator gives to the
+        others stays."""
         located = np.maximum(self.located, SMALLEST)
-        mass = np.bincount(self.nearest, located, minlength=len(self.chosen))
-        return replace(self, probability=located * (weight / mass)[self.nearest])
+        mass = self._mass(located)
+        factor = np.full(len(mass), 1.0 / mass.sum())
+        factor[self.mapped] *= weight * (mass[self.mapped].sum() / mass[self.mapped])
+        return replace(self, probability=located * factor[self.nearest])
+
+    def woken(self, share: float, at_most: int) -> TransmitterSearch:
+        """With so many more of the candidates mapped, the likeliest first, that the locator gives
+        the mapped ones ``share`` of the probability (1: until all are), at most ``at_most``
+        more."""
+        mass = self._mass(self.located)
+        asleep = np.setdiff1d(np.arange(len(mass)), self.mapped)
+        asleep = asleep[np.argsort(-mass[asleep], kind="stable")]
+        before = mass[self.mapped].sum() + np.cumsum(mass[asleep]) - mass[asleep]
+        wanted = before < share * mass.sum() if share < 1.0 else np.ones(len(asleep), dtype=bool)
+        more = asleep[: min(at_most, np.count_nonzero(wanted))]
+        return replace(self, mapped=np.append(self.mapped, more))
 
     def grown(
         self, maps: OperatorMaps, cells: NDArray[np.int64], gain_db: Floats, power: float
@@ -139,8 +170,8 @@ class TransmitterSearch:
         return replace(self, evidence=evidence, probability=weight / weight.sum(), located=located)
 
     def refined(self, count: int, gain_m: float) -> TransmitterSearch:
-        """With up to ``count`` more candidates, each shortening the mean distance by at least
-        ``gain_m``."""
+        """With up to ``count`` more candidates, mapped ones, each shortening the mean distance by
+        at least ``gain_m``."""
         place = self.evidence.grid.position[:, :2] * self.spacing_m
         chosen, nearest, distance = self.chosen, self.nearest, self.distance_m
         likely = np.flatnonzero(self.probability > NEGLIGIBLE / len(self.probability))
@@ -161,7 +192,8 @@ class TransmitterSearch:
             nearest = np.where(closer, len(chosen), nearest)
             distance = np.where(closer, apart, distance)
             chosen = np.append(chosen, proposals[best])
-        return replace(self, chosen=chosen, nearest=nearest, distance_m=distance)
+        mapped = np.append(self.mapped, np.arange(len(self.chosen), len(chosen)))
+        return replace(self, chosen=chosen, nearest=nearest, distance_m=distance, mapped=mapped)
 
 
 def _apart(one: Floats, other: Floats) -> Floats:
