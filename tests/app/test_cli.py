@@ -44,6 +44,7 @@ def test_a_survey_leaves_all_its_files(folder: Path) -> None:
         "results.json",
         "measurements.csv",
         "radio_map.tif",
+        "radio_map.qml",
         "radio_map.nc",
         "survey_maps.png",
         "paths.png",

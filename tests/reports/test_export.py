@@ -9,12 +9,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from skygain.grid import Grid
 from skygain.ground.errors import install_command
 from skygain.ground.strict_json import json_text, plain
 from skygain.reports.export import (
@@ -23,7 +25,9 @@ from skygain.reports.export import (
     write_radio_map_tif,
     write_results_json,
 )
+from skygain.reports.geotiff import write_geotiff
 from skygain.reports.outcome import Outcome
+from skygain.reports.scales import gain_limits
 
 UTM = "EPSG:32617"
 HOSTILE = "</script><b>\"'&\x00\ud800 \u2028{{data}} ${x} 東京"
@@ -114,7 +118,8 @@ def test_the_geotiff_answers_at_the_metres_of_a_cell(
     rasterio = pytest.importorskip("rasterio")
     outcome = make_outcome(crs=crs)
     assert write_radio_map_tif(outcome, tmp_path / "map.tif") is None
-    assert [path.name for path in tmp_path.iterdir()] == ["map.tif"]  # no side files
+    # no side files but the style
+    assert {path.name for path in tmp_path.iterdir()} == {"map.tif", "map.qml"}
     with rasterio.open(tmp_path / "map.tif") as raster:
         assert raster.descriptions == ("mean_db", "std_db", "measured")
         assert raster.crs == (None if crs is None else rasterio.crs.CRS.from_string(crs))
@@ -252,3 +257,33 @@ def test_hostile_names_do_no_harm(make_outcome: Make, tmp_path: Path) -> None:
     assert strict((tmp_path / "results.json").read_text(encoding="utf-8"))["title"].startswith(
         "</script><b>"
     )
+
+
+def test_the_geotiff_is_cloud_optimised_and_has_a_style(make_outcome: Make, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    outcome = make_outcome(crs=UTM)
+    write_radio_map_tif(outcome, tmp_path / "map.tif")
+    with rasterio.open(tmp_path / "map.tif") as raster:
+        assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert raster.descriptions[:2] == ("mean_db", "std_db")
+    style = ElementTree.parse(tmp_path / "map.qml").getroot()
+    shader = style.find(".//colorrampshader")
+    assert shader is not None
+    ends = float(shader.attrib["minimumValue"]), float(shader.attrib["maximumValue"])
+    assert ends == gain_limits(outcome)
+    values = [float(item.attrib["value"]) for item in shader]
+    assert values[0] == ends[0]
+    assert values[-1] == ends[1]
+    assert values == sorted(values)
+
+
+def test_a_small_and_a_large_map_are_cloud_optimised(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    for side in (2, 700):
+        values = np.arange(side * side, dtype=float).reshape(side, side)
+        path = tmp_path / f"{side}.tif"
+        assert write_geotiff(path, Grid((side, side), 5.0), [("a", values, "dB")], {"x": 1}) is None
+        with rasterio.open(path) as raster:
+            assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+            assert bool(raster.overviews(1)) == (side > 512)
+            np.testing.assert_array_equal(raster.read(1)[::-1], values)

@@ -25,7 +25,9 @@ import skygain
 from skygain.ground.errors import MissingExtraError, install_command, require
 from skygain.ground.files import atomic_write
 from skygain.ground.strict_json import json_text
+from skygain.reports.geotiff import write_geotiff, write_style
 from skygain.reports.outcome import Outcome
+from skygain.reports.scales import gain_limits
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,7 +73,8 @@ def write_measurements_csv(outcome: Outcome, path: Path) -> str | None:
 
 
 def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
-    """The map as a GeoTIFF with three or four float32 bands, north up, named in their descriptions.
+    """The map as a cloud-optimised GeoTIFF with three or four float32 bands, north up, named in
+    their descriptions, and beside it the style ``.qml`` that QGIS draws it in.
 
     ``mean_db`` and ``std_db`` hold the final estimate, no-data inside buildings; ``measured`` holds
     the mean of the readings of a cell, no-data where there is none; ``ground_m`` is the height of
@@ -81,48 +84,18 @@ def write_radio_map_tif(outcome: Outcome, path: Path) -> str | None:
     Returns:
         A note when the geo extra is missing and nothing was written, else ``None``.
     """
-    try:
-        rasterio = require("rasterio", "geo")
-    except MissingExtraError:
-        return f"{path.name} was left out; to have it: {install_command('geo')}"
-    from rasterio.io import MemoryFile
-
     level = outcome.unit.lower()
-    bands = {
-        f"mean_{level}": outcome.mean_db,
-        "std_db": outcome.std_db,
-        "measured": outcome.measured_db,
-    }
-    units = {"ground_m": "m", "std_db": "dB"}
+    bands = [
+        (f"mean_{level}", outcome.mean_db, outcome.unit),
+        ("std_db", outcome.std_db, "dB"),
+        ("measured", outcome.measured_db, outcome.unit),
+    ]
     if outcome.scenario.city.ground_m.any():
-        bands["ground_m"] = np.asarray(outcome.scenario.city.ground_m)
-    west, _, _, north = outcome.grid.bounds_m
-    spacing = outcome.grid.spacing_m
-    profile = {
-        "driver": "GTiff",
-        "height": outcome.grid.shape[0],
-        "width": outcome.grid.shape[1],
-        "count": len(bands),
-        "dtype": "float32",
-        "nodata": np.nan,
-        "crs": outcome.grid.crs,
-        "transform": rasterio.Affine(spacing, 0.0, west, 0.0, -spacing, north),
-        "compress": "deflate",
-        "predictor": 3,
-    }
-    # Made in memory: GDAL would put a side file next to the temporary name.
-    with MemoryFile() as memory:
-        with memory.open(**profile) as raster:
-            for number, (name, values) in enumerate(bands.items(), start=1):
-                raster.write(
-                    np.flipud(values).astype(np.float32), number
-                )  # row 0 is the south, a GeoTIFF begins in the north
-                raster.set_band_description(number, name)
-                raster.set_band_unit(number, units.get(name, outcome.unit))
-            raster.update_tags(**{key: str(value) for key, value in _facts(outcome).items()})
-        with atomic_write(path) as tmp:
-            tmp.write_bytes(memory.read())
-    return None
+        bands.append(("ground_m", np.asarray(outcome.scenario.city.ground_m), "m"))
+    note = write_geotiff(path, outcome.grid, bands, _facts(outcome))
+    if note is None:
+        write_style(path.with_suffix(".qml"), *gain_limits(outcome), outcome.unit)
+    return note
 
 
 def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:

@@ -22,6 +22,7 @@ from skygain.reports.pictures import paths_picture, rmse_picture, survey_maps
 FILES = (
     "measurements.csv",
     "radio_map.tif",
+    "radio_map.qml",
     "radio_map.nc",
     "survey_maps.png",
     "paths.png",
