@@ -14,8 +14,9 @@ import pytest
 
 from skygain.ground.errors import InputError
 from skygain.measurements import Measurements
+from skygain.reports.curves import rmse_curves, rmse_picture
 from skygain.reports.outcome import Outcome
-from skygain.reports.pictures import paths_picture, rmse_curves, rmse_picture, survey_maps
+from skygain.reports.pictures import paths_picture, survey_maps
 
 Make = Callable[..., Outcome]
 

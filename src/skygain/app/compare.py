@@ -33,7 +33,7 @@ def run_comparison(request: EvaluateRequest, progress: Progress = SILENT) -> str
 
 
 def _compared(request: EvaluateRequest, progress: Progress) -> str:
-    from skygain.reports.pictures import rmse_curves
+    from skygain.reports.curves import rmse_curves
 
     progress.phase("flying")
     comparison = compare(request, progress)

@@ -10,14 +10,21 @@ __all__ = [
     "frame_axes",
     "quiet",
     "round_length",
+    "save_png",
     "scale_and_north",
+    "shortened",
+    "titled_figure",
 ]
 
+import textwrap
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from skygain.grid import Grid
+from skygain.ground.files import atomic_write
+from skygain.ground.shown import agg_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +33,32 @@ if TYPE_CHECKING:
 INK, SOFT = "#1F2933", "#66727F"
 """colours of titles, and of everything else that is written"""
 _GROUND = "#F4F5F7"
+_DPI = 160
+
+
+def titled_figure(size: tuple[float, float], title: str = "") -> Figure:
+    """A figure of ``size`` inches with a headline of two lines at most."""
+    figure = agg_figure(size)
+    if title:
+        text = textwrap.fill(
+            shortened(title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …"
+        )
+        figure.suptitle(
+            text, x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK, parse_math=False
+        )
+    return figure
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write the figure, whole or not at all."""
+    with atomic_write(path) as tmp:
+        figure.savefig(tmp, format="png", dpi=_DPI)
+
+
+def shortened(text: str, longest: int) -> str:
+    """``text`` on one line, cut where it would run out of the picture."""
+    text = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def frame_axes(axes: Axes, grid: Grid) -> None:

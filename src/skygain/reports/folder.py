@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from skygain.reports.curves import rmse_picture
 from skygain.reports.export import (
     write_measurements_csv,
     write_radio_map_nc,
@@ -17,7 +18,7 @@ from skygain.reports.export import (
 )
 from skygain.reports.html import write_report
 from skygain.reports.outcome import Outcome
-from skygain.reports.pictures import paths_picture, rmse_picture, survey_maps
+from skygain.reports.pictures import paths_picture, survey_maps
 
 FILES = (
     "measurements.csv",

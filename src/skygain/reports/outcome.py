@@ -127,6 +127,12 @@ class Outcome:
         return self.result.scenario.grid
 
     @property
+    def low_roofs(self) -> NDArray[np.bool_]:
+        """``[row, col]`` built up, but below the flight."""
+        city = self.scenario.city
+        return np.asarray((city.height_m > 0) & ~city.obstructed(self.scenario.uav_altitude_m))
+
+    @property
     def transmitter_m(self) -> tuple[float, float, float] | None:
         """(x, y, z) of the transmitter, as far as anyone knows."""
         return self.true_transmitter_m or self.scenario.transmitter_m

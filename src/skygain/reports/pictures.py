@@ -11,34 +11,27 @@ from __future__ import annotations
 __all__ = [
     "UAV_COLOURS",
     "paths_picture",
-    "rmse_curves",
-    "rmse_picture",
     "survey_figure",
     "survey_maps",
     "uav_colours",
 ]
 
-import textwrap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from skygain.ground.errors import InputError
-from skygain.ground.files import atomic_write
-from skygain.ground.shown import agg_figure
 from skygain.reports.axes import (
     INK,
-    SOFT,
     colour_bar,
     extent_m,
     frame_axes,
-    quiet,
+    save_png,
     scale_and_north,
+    titled_figure,
 )
-from skygain.reports.outcome import Outcome, score_label
+from skygain.reports.outcome import Outcome
 from skygain.reports.scales import error_reach, gain_limits, std_high
 
 if TYPE_CHECKING:
@@ -57,18 +50,14 @@ UAV_COLOURS = (
 )
 """one colour per UAV, after Okabe and Ito (2008), for swarms that need no more"""
 
+_ROOF = "#3A4550"
 _NUMBERED = 12
 """swarms up to this size have their numbers at start and end"""
-
-_LINE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6D00", "#56B4E9", "#222222")
-_LINE_STYLES = ("-", "--", ":")
-_MARKERS = "osD^vPXphd<>"
-_DPI = 160
 
 
 def survey_maps(outcome: Outcome, path: Path) -> None:
     """Write `survey_figure` as PNG."""
-    _save(survey_figure(outcome), path)
+    save_png(survey_figure(outcome), path)
 
 
 def survey_figure(outcome: Outcome) -> Figure:
@@ -80,7 +69,7 @@ def survey_figure(outcome: Outcome) -> Figure:
     truth, estimate = outcome.outdoor_truth_db, outcome.mean_db
     shown = [outcome.measured_db if truth is None else truth, estimate]
     low, high = gain_limits(outcome)
-    figure = _figure((16.2, 5.3) if truth is None else (11.0, 10.2), outcome)
+    figure = titled_figure((16.2, 5.3) if truth is None else (11.0, 10.2), outcome.title)
     axes = figure.subplots(*((1, 3) if truth is None else (2, 2))).ravel()
     names = (
         "Readings"
@@ -127,7 +116,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
 
     grid, scenario = outcome.grid, outcome.scenario
     history = outcome.result.swarm.history
-    figure = _figure((7.4, 6.6), outcome)
+    figure = titled_figure((7.4, 6.6), outcome.title)
     axes = figure.subplots()
     height = np.where(scenario.city.height_m > 0, scenario.city.height_m, np.nan)
     frame_axes(axes, outcome.grid)
@@ -141,7 +130,7 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
         colour_bar(figure, image, axes, "building height in m")
     if scenario.no_fly is not None and scenario.no_fly.any():
         _no_fly(axes, outcome, scenario.no_fly)
-    low = (scenario.city.height_m > 0) & ~scenario.city.obstructed(scenario.uav_altitude_m)
+    low = outcome.low_roofs
     if low.any():
         _hatch(axes, outcome, low, "...", "white")
 
@@ -149,8 +138,9 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     many = len(history)
     aside = (np.arange(many) - (many - 1) / 2) * grid.spacing_m * min(0.16, 0.7 / many)
     thin = float(np.clip(6 / many, 0.4, 1.0))
-    ends: dict[str, Any] = {"color": INK, "ha": "center", "va": "center_baseline"}
+    ends: dict[str, Any] = {"ha": "center", "va": "center_baseline"}
     ends |= {"fontsize": 6.5, "zorder": 7}
+    size = 9.0 if many <= _NUMBERED else 9 * max(thin, 0.5)
     joins: dict[str, Any] = {"solid_joinstyle": "round", "solid_capstyle": "round"}
     colours = uav_colours(many)
     handles: list[Any] = []
@@ -161,9 +151,12 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
         for where, marker in ((0, "o"), (-1, "s")):
             look: dict[str, Any] = {"color": colours[uav], "mec": INK, "clip_on": False}
             look["mew"] = 1.1 * thin
-            axes.plot(x[where], y[where], marker, ms=9 * max(thin, 0.5), zorder=6, **look)
+            axes.plot(x[where], y[where], marker, ms=size, zorder=6, **look)
             if 1 < many <= _NUMBERED:
-                axes.annotate(str(uav), (x[where], y[where]), annotation_clip=False, **ends)
+                ink = _ink_on(colours[uav])
+                axes.annotate(
+                    str(uav), (x[where], y[where]), color=ink, annotation_clip=False, **ends
+                )
         handles.append(Line2D([], [], color=colours[uav], lw=2.5, label=f"UAV {uav}"))
     _transmitter(axes, outcome)
     scale_and_north(axes, grid)
@@ -181,7 +174,14 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False
     )
-    _save(figure, path)
+    save_png(figure, path)
+
+
+def _ink_on(colour: str) -> str:
+    """The colour of writing on ``colour``."""
+    from matplotlib.colors import to_rgb
+
+    return INK if float(np.dot(to_rgb(colour), (0.3, 0.59, 0.11))) > 0.5 else "white"
 
 
 def uav_colours(uavs: int) -> list[str]:
@@ -194,125 +194,6 @@ def uav_colours(uavs: int) -> list[str]:
     hue = (np.arange(uavs) * 0.618034) % 1.0
     value = np.where(np.arange(uavs) % 2, 0.92, 0.72)
     return [to_hex(tuple(hsv_to_rgb((h, 0.75, v)))) for h, v in zip(hue, value, strict=True)]
-
-
-def rmse_picture(outcome: Outcome, path: Path) -> None:
-    """Error and predicted uncertainty against the steps flown; without a truth, the predicted
-    uncertainty alone."""
-    figure = _figure((7.0, 4.2), outcome)
-    axes = figure.subplots()
-    names = [
-        n
-        for n in ("rmse_db", "rmse_all_db", "expected_rmse_db")
-        if np.isfinite(outcome.scores.get(n, [])).any()
-    ]
-    for number, name in enumerate(names):
-        colour = {"expected_rmse_db": SOFT}.get(name, _LINE_COLOURS[number])
-        style = {"expected_rmse_db": "--"}.get(name, "-")
-        values = outcome.scores[name]
-        label = (
-            f"{score_label(name)}  {values[-1]:.1f}"
-            if np.isfinite(values[-1])
-            else score_label(name)
-        )
-        axes.plot(outcome.steps, values, style, color=colour, lw=2, label=label)
-    errors = any(name.startswith("rmse") for name in names)
-    _curve_axes(
-        axes, "dB", "Error against steps" if errors else "Predicted uncertainty against steps"
-    )
-    if names:
-        axes.legend(frameon=False)
-    else:
-        axes.text(
-            0.5, 0.5, "no scores were recorded", transform=axes.transAxes, ha="center", color=SOFT
-        )
-    _save(figure, path)
-
-
-def rmse_curves(
-    curves: Mapping[str, tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]],
-    path: Path,
-    *,
-    title: str = "Error against steps",
-    unit: str = "RMSE in dB",
-) -> None:
-    """One curve per method with its interval as a band; the legend is in the order of the curves'
-    right ends.
-
-    Args:
-        curves: name of the method → (steps, mean, low, high), each of one length; NaN breaks a
-            curve.
-        path: the PNG to write.
-        title: headline of the figure.
-        unit: what stands at the vertical axis.
-
-    Raises:
-        InputError: there is no curve, or the columns of one differ in length.
-    """
-    if not curves:
-        raise InputError("there is no curve to draw; give at least one method")
-    figure = _figure((9.6, 4.8))
-    axes = figure.subplots()
-    lines = []
-    for number, (name, columns) in enumerate(curves.items()):
-        steps, mean, low, high = (np.asarray(column, dtype=float) for column in columns)
-        if not steps.shape == mean.shape == low.shape == high.shape == (len(steps),):
-            raise InputError(
-                f"the curve of {name!r} needs steps, mean, low and high of one length; give four "
-                "equal columns"
-            )
-        colour = _LINE_COLOURS[number % len(_LINE_COLOURS)]
-        style = _LINE_STYLES[number // len(_LINE_COLOURS) % len(_LINE_STYLES)]
-        axes.fill_between(steps, low, high, color=colour, alpha=0.14, lw=0)
-        mark = _MARKERS[number % len(_MARKERS)]
-        # markers start at different points, so that curves which run together still show theirs
-        every = max(1, len(steps) // 8)
-        (line,) = axes.plot(
-            steps,
-            mean,
-            style,
-            color=colour,
-            lw=1.8,
-            marker=mark,
-            ms=5.5,
-            mec="white",
-            mew=0.6,
-            markevery=(number % every, every),
-        )
-        finite = mean[np.isfinite(mean)]
-        lines.append((finite[-1] if finite.size else -np.inf, line, name))
-    lines.sort(key=lambda entry: -entry[0])
-    _curve_axes(axes, unit, title)
-    labels = [
-        f"{_shortened(name)}  {last:.2f}" if np.isfinite(last) else _shortened(name)
-        for last, _, name in lines
-    ]
-    figure.legend(
-        [line for _, line, _ in lines],
-        labels,
-        loc="outside right upper",
-        frameon=False,
-        handlelength=3.2,
-        labelspacing=0.7,
-    )
-    _save(figure, path)
-
-
-def _figure(size: tuple[float, float], outcome: Outcome | None = None) -> Figure:
-    figure = agg_figure(size)
-    if outcome is not None:
-        title = textwrap.fill(
-            _shortened(outcome.title, 300), width=int(9 * size[0]), max_lines=2, placeholder=" …"
-        )
-        figure.suptitle(
-            title, x=0.01, ha="left", fontsize=14, fontweight="bold", color=INK, parse_math=False
-        )
-    return figure
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with atomic_write(path) as tmp:
-        figure.savefig(tmp, format="png", dpi=_DPI)
 
 
 def _map(
@@ -330,6 +211,10 @@ def _map(
         extent=extent_m(outcome.grid),
         interpolation="nearest",
     )
+    low = outcome.low_roofs
+    if low.any():  # what the map is drawn over
+        for colour, wide, alpha in (("white", 1.3, 0.4), (_ROOF, 0.6, 0.9)):
+            _outline(axes, outcome, low, colors=colour, linewidths=wide, alpha=alpha)
     return image
 
 
@@ -371,20 +256,23 @@ def _hatch(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_], hatch: str, co
 def _no_fly(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_]) -> None:
     """Tint the no-fly cells and draw a line where flying ends; a hatch would drown a map that is
     mostly no-fly."""
-    from matplotlib.collections import LineCollection
-
     tint = np.zeros((*mask.shape, 4))
     tint[mask] = (0.70, 0.15, 0.12, 0.10)
     axes.imshow(tint, origin="lower", extent=extent_m(outcome.grid), interpolation="nearest")
+    _outline(axes, outcome, mask, colors="#B3261E", linewidths=0.8, alpha=0.8)
+
+
+def _outline(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_], **look: Any) -> None:
+    """A line round the cells of ``mask``."""
+    from matplotlib.collections import LineCollection
+
     grid, half = outcome.grid, outcome.grid.spacing_m / 2
     upper = grid.xy_m(np.argwhere(mask[1:] != mask[:-1]))[:, None] + [(-half, half), (half, half)]
     right = grid.xy_m(np.argwhere(mask[:, 1:] != mask[:, :-1]))[:, None] + [
         (half, -half),
         (half, half),
     ]
-    axes.add_collection(
-        LineCollection([*upper, *right], colors="#B3261E", linewidths=0.8, alpha=0.8, zorder=2)
-    )
+    axes.add_collection(LineCollection([*upper, *right], zorder=2, **look))
 
 
 def _thin_paths(axes: Axes, outcome: Outcome) -> None:
@@ -411,24 +299,7 @@ def _on_map(outcome: Outcome) -> bool:
     return bool(west <= x <= east and south <= y <= north)
 
 
-def _curve_axes(axes: Axes, unit: str, title: str) -> None:
-    axes.set_title(title, loc="left", color=INK)
-    axes.set_xlabel("steps per UAV", color=SOFT)
-    axes.set_ylabel(unit, color=SOFT)
-    axes.grid(True, color="#E3E7EB", lw=0.8)
-    axes.set_axisbelow(True)
-    axes.margins(x=0.02)
-    axes.spines[["top", "right"]].set_visible(False)
-    quiet(axes)
-
-
 def _tallest(height: NDArray[np.floating]) -> float:
     """Upper end of the scale of heights, 1 m at least."""
     finite = height[np.isfinite(height)]
     return max(float(finite.max()), 1.0) if finite.size else 1.0
-
-
-def _shortened(text: str, longest: int = 48) -> str:
-    """``text`` on one line, cut where it would run out of the picture."""
-    text = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return text if len(text) <= longest else text[: longest - 1] + "…"
