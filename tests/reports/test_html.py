@@ -176,7 +176,7 @@ def test_a_huge_survey_is_thinned_but_keeps_its_ends(
 def test_same_survey_same_page_but_for_its_timings(make_outcome: Make, tmp_path: Path) -> None:
     first, second = (
         re.sub(
-            r'<dd class="value">[\d.]+<small> m?s</small>', "", written(make_outcome(), tmp_path)
+            r'<dd class="value"><span>[\d.]+</span><small> m?s</small>', "", written(make_outcome(), tmp_path)
         )
         for _ in range(2)
     )
@@ -313,6 +313,21 @@ def test_the_survey_can_be_stepped_in_a_browser(
     )
     assert browser.run("document.querySelector('#status').textContent").startswith("Step 5 of 30. ")
 
+    # the figures follow the step shown, and the address the state
+    def figure(name: str) -> str:
+        return browser.run(f"document.querySelector('[data-live={name}] .value span').innerText")
+
+    assert 0 < float(figure("flown")) <= 20  # five steps of 4 m at most
+    before = figure("readings")
+    browser.press("End")
+    assert figure("readings") != before
+    browser.run(
+        "(() => { const t = document.querySelector('#threshold'); t.value = -999; "
+        "t.dispatchEvent(new Event('input')) })()"
+    )
+    assert figure("covered") == "100"
+    assert "threshold=-999" in browser.run("location.hash")
+
     # the pointer on a cell that was measured from the start: the UAV's first, in the south-west
     # corner
     browser.press("1")
@@ -335,3 +350,15 @@ def test_the_survey_can_be_stepped_in_a_browser(
     assert "Runtime.exceptionThrown" not in kinds
     assert "Log.entryAdded" not in kinds
     assert kinds.count("Network.requestWillBeSent") == 1  # the page itself
+
+
+def test_the_figures_are_those_of_the_survey(make_outcome: Make, tmp_path: Path) -> None:
+    outcome = make_outcome(config={"threshold_db": -100.0, "speed_mps": 4.0})
+    text = written(outcome, tmp_path)
+    assert 'id="threshold" step="any" value="-100"' in text
+    mean = outcome.mean_db[outcome.scenario.outdoor]
+    assert f"<span>{100 * (mean >= -100).mean():.0f}</span><small> %" in text
+    way_m = max(np.abs(np.diff(path, axis=0)).sum() * 4.0 for path in outcome.result.swarm.history)
+    assert f"<span>{way_m:.0f}</span><small> m</small>" in text
+    assert f"{way_m / 4.0 / 60:.1f} min at 4 m/s" in text
+    assert "roof below the flight" in text  # one is 6 m high

@@ -91,51 +91,47 @@ def _lede(outcome: Outcome) -> str:
 
 
 def _tiles(outcome: Outcome) -> Iterator[str]:
-    """The key numbers."""
+    """The key numbers; the script keeps those that are live at the step shown."""
     scores = {name: values[-1] for name, values in outcome.scores.items()}
     first = {name: values[0] for name, values in outcome.scores.items()}
     readings, outdoor = outcome.result.measurements, outcome.scenario.outdoor
 
-    def tile(name: str, value: str, unit: str, note: str) -> str:
+    def tile(name: str, value: str, unit: str, note: str, live: str = "") -> str:
+        mark = f' data-live="{live}"' if live else ""
         return (
-            f'    <div><dt>{_escaped(name)}</dt><dd class="value">{value}<small> '
-            f"{_escaped(unit)}</small></dd>"
+            f'    <div{mark}><dt>{_escaped(name)}</dt><dd class="value"><span>{value}</span><small>'
+            f" {_escaped(unit)}</small></dd>"
             f'<dd class="note">{_escaped(note)}</dd></div>'
         )
 
-    if np.isfinite(scores.get("rmse_db", np.nan)):
-        yield tile(
-            "RMSE, unvisited cells",
-            f"{scores['rmse_db']:.1f}",
-            "dB",
-            f"{first['rmse_db']:.1f} dB at the start",
-        )
-    if np.isfinite(scores.get("expected_rmse_db", np.nan)):
-        yield tile(
-            "RMSE, as predicted",
-            f"{scores['expected_rmse_db']:.1f}",
-            "dB",
-            f"{first['expected_rmse_db']:.1f} dB at the start",
-        )
-    if np.isfinite(scores.get("coverage90", np.nan)):
-        yield tile(
-            "Inside the 90 % interval",
-            f"{100 * scores['coverage90']:.0f}",
-            "%",
-            "of unvisited cells; 90 % is ideal",
-        )
-    if np.isfinite(scores.get("gof", np.nan)):
-        yield tile(
-            "Goodness of fit", _signed(scores["gof"]), "", "0 is ideal, above is overconfident"
-        )
-    measured = readings.visited(outcome.grid.shape) & outdoor
-    share = measured.sum() / outdoor.sum()
-    yield tile(
-        "Readings",
-        f"{len(readings):,}".replace(",", " "),
-        "",
-        f"in {100 * share:.1f} % of the outdoor cells",
+    def known(name: str) -> bool:
+        return bool(np.isfinite(scores.get(name, np.nan)))
+
+    for name, label in (("rmse_db", "RMSE, unvisited"), ("expected_rmse_db", "RMSE, as predicted")):
+        if known(name):
+            note = f"{first[name]:.1f} dB at the start"
+            yield tile(label, f"{scores[name]:.1f}", "dB", note, name)
+    if known("coverage90"):
+        value = f"{100 * scores['coverage90']:.0f}"
+        note = "of unvisited cells; 90 % is ideal"
+        yield tile("Inside the 90 % interval", value, "%", note, "coverage90")
+    if known("gof"):
+        note = "0 is ideal, above is overconfident"
+        yield tile("Goodness of fit", _signed(scores["gof"]), "", note, "gof")
+    yield (
+        '    <div data-live="covered"><dt>At or above <label><span class="hidden">Threshold'
+        f'</span><input type="number" id="threshold" step="any" value="{outcome.threshold:g}">'
+        f"</label> {outcome.unit}</dt>"
+        f'<dd class="value"><span>{100 * outcome.covered:.0f}</span><small> %</small></dd>'
+        '<dd class="note">of the outdoor cells, as estimated</dd></div>'
     )
+    way_m, speed = float(outcome.flown_m[-1]), outcome.speed_mps
+    note = f"{way_m / speed / 60:.1f} min at {speed:g} m/s"
+    yield tile("Flown by each UAV", f"{way_m:.0f}", "m", note, "flown")
+    measured = readings.visited(outcome.grid.shape) & outdoor
+    count = f"{len(readings):,}".replace(",", " ")
+    note = f"in {100 * measured.sum() / outdoor.sum():.1f} % of the outdoor cells"
+    yield tile("Readings", count, "", note, "readings")
     delay = outcome.result.timings["decision_ms_median"]
     if np.isfinite(delay):
         value, unit = (f"{delay:.3g}", "ms") if delay < 1000 else (f"{delay / 1000:.1f}", "s")
@@ -147,6 +143,8 @@ def _key(outcome: Outcome) -> Iterator[str]:
         '        <li><i class="swatch uav" style="background:#E69F00"></i>UAV, its latest moves '
         "drawn thick</li>"
     )
+    if outcome.low_roofs.any():
+        yield '        <li><i class="swatch low"></i>roof below the flight</li>'
     if outcome.transmitter_m is not None:
         west, south, east, north = outcome.grid.bounds_m
         x, y, _ = outcome.transmitter_m

@@ -127,6 +127,30 @@ class Outcome:
         return self.result.scenario.grid
 
     @property
+    def speed_mps(self) -> float:
+        """Speed of the UAVs that minutes are told for."""
+        return float((self.config or {}).get("speed_mps") or 5.0)
+
+    @property
+    def threshold(self) -> float:
+        """Level from which there is coverage; what was asked for, or a round one near the middle of
+        the map."""
+        asked = (self.config or {}).get("threshold_db")
+        return 5.0 * round(float(np.nanmedian(self.mean_db)) / 5) if asked is None else float(asked)
+
+    @property
+    def covered(self) -> float:
+        """Share of the outdoor cells whose estimate is at or above `threshold`."""
+        return float((self.mean_db[self.scenario.outdoor] >= self.threshold).mean())
+
+    @cached_property
+    def flown_m(self) -> NDArray[np.float64]:
+        """``[step]`` way of the UAV that has flown farthest by then, in metres."""
+        moves = np.abs(np.diff(self.result.swarm.history, axis=1)).sum(axis=2)
+        way = np.cumsum(moves, axis=1).max(axis=0) * self.grid.spacing_m
+        return np.concatenate([[0.0], way])
+
+    @property
     def low_roofs(self) -> NDArray[np.bool_]:
         """``[row, col]`` built up, but below the flight."""
         city = self.scenario.city

@@ -37,6 +37,10 @@ _GROUPS = (
 """charts of the report: title, unit, scores, values that would be ideal"""
 
 
+_LIVE = ("rmse_db", "expected_rmse_db", "coverage90", "gof")
+"""scores whose figures follow the step shown"""
+
+
 def shown_frames(outcome: Outcome) -> list[Frame]:
     """The frames to animate: those with maps, thinned to what a browser can hold; the final belief
     when there is none."""
@@ -153,6 +157,14 @@ def page_data(
         "first_view": "mean",
         "views": views,
         "groups": _groups(outcome),
+        "live": {
+            name: [v if np.isfinite(v) else None for v in outcome.scores[name]]
+            for name in _LIVE
+            if name in outcome.scores
+        },
+        "flown_m": [float(v) for v in outcome.flown_m],
+        "speed_mps": outcome.speed_mps,
+        "unit": outcome.unit,
         "sections": [(name, kind, int(values.size)) for name, (kind, values) in arrays.items()],
         "blob": base64.b64encode(packed).decode("ascii"),
     }

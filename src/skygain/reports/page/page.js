@@ -35,7 +35,7 @@ function number(value, decimals) {
 function withUnit(value, unit, decimals = 1) {
   if (value === null || !Number.isFinite(value)) return "–";
   if (unit === "%") return number(value * 100, 0) + " %";
-  return number(value, unit === "dB" ? decimals : 2) + (unit ? " " + unit : "");
+  return number(value, unit.startsWith("dB") ? decimals : 2) + (unit ? " " + unit : "");
 }
 
 function niceTicks(low, high, most) {
@@ -167,7 +167,8 @@ async function main() {
     g.beginPath();
     g.rect(margin.left, margin.top, width, height);
     g.clip();
-    drawNoFly(g);
+    if (hasLowRoofs) drawEdges(g, isLowRoof, [["rgb(255 255 255 / 40%)", 2], ["#3a4550", 0.9]]);
+    if (data.no_fly) drawEdges(g, isNoFly, [["#d0352b", 1]]);
     g.restore();
     drawUavs(g, Math.max(5.5, Math.min(9.5, width / 62))); // whole at the edge of the map
     drawTransmitter(g, margin, width, height, perMetre);
@@ -187,25 +188,30 @@ async function main() {
     place.top + (rows - 1 - Math.floor(cell / cols)) * place.scale,
   ];
 
-  // Only its edge: in a replay nearly the whole map is no-fly, and the estimate there should still be seen.
-  function drawNoFly(g) {
-    if (!data.no_fly) return;
-    g.strokeStyle = "#d0352b";
-    g.lineWidth = 1;
+  // A line round cells: only the edge, so that the map inside is still seen.
+  function drawEdges(g, held, lines) {
     g.beginPath();
     for (let cell = 0; cell < cells; cell++) {
       const [px, py] = corner(cell);
-      if ((cell + 1) % cols && data.no_fly[cell] !== data.no_fly[cell + 1]) {
+      if ((cell + 1) % cols && held(cell) !== held(cell + 1)) {
         g.moveTo(px + place.scale, py);
         g.lineTo(px + place.scale, py + place.scale);
       }
-      if (cell + cols < cells && data.no_fly[cell] !== data.no_fly[cell + cols]) {
+      if (cell + cols < cells && held(cell) !== held(cell + cols)) {
         g.moveTo(px, py);
         g.lineTo(px + place.scale, py);
       }
     }
-    g.stroke();
+    for (const [colour, wide] of lines) {
+      g.strokeStyle = colour;
+      g.lineWidth = wide;
+      g.stroke();
+    }
   }
+
+  const isNoFly = (cell) => data.no_fly[cell] > 0;
+  const isLowRoof = (cell) => data.height[cell] > 0 && !data.indoor[cell];
+  const hasLowRoofs = data.height.some((_, cell) => isLowRoof(cell));
 
   // Where a UAV is at a fractional step, in canvas pixels; UAVs in one street fly beside each other.
   function uavPoint(uav, step) {
@@ -393,13 +399,13 @@ async function main() {
     } else {
       const truth = truthAt(cell);
       const error = errorAt(state.frame, cell);
-      say("estimate", `${withUnit(meanAt(state.frame, cell), "dB")} ± ${number(stdAt(state.frame, cell), 1)}`);
-      if (truth !== null) say("truth", withUnit(truth, "dB"));
+      say("estimate", `${withUnit(meanAt(state.frame, cell), survey.unit)} ± ${number(stdAt(state.frame, cell), 1)}`);
+      if (truth !== null) say("truth", withUnit(truth, survey.unit));
       if (error !== null) say("error", (error > 0 ? "+" : "") + withUnit(error, "dB"));
       const taken = (firstReading.get(cell) || []).filter((i) => data.reading_step[i] <= state.position);
       if (taken.length) {
         const i = taken[taken.length - 1];
-        say("measured", `${withUnit(data.reading_gain[i], "dB")} by UAV ${data.reading_uav[i]} at step ${data.reading_step[i]}`);
+        say("measured", `${withUnit(data.reading_gain[i], survey.unit)} by UAV ${data.reading_uav[i]} at step ${data.reading_step[i]}`);
       }
     }
     line.replaceChildren();
@@ -501,6 +507,62 @@ async function main() {
     goTo(steps.reduce((best, s, k) => (Math.abs(s - step) < Math.abs(steps[best] - step) ? k : best), 0));
   }
 
+  // ---- the figures -----------------------------------------------------------------------------------------------------------
+  const thresholdAtFirst = $("threshold").value;
+
+  function covered() {
+    const least = Number($("threshold").value);
+    let above = 0;
+    let all = 0;
+    for (let cell = 0; cell < cells; cell++) {
+      const value = meanAt(state.frame, cell);
+      if (value === null) continue;
+      all += 1;
+      if (value >= least) above += 1;
+    }
+    return [number((100 * above) / Math.max(all, 1), 0)];
+  }
+
+  function readingsByNow() {
+    const seen = new Set();
+    let count = 0;
+    data.reading_step.forEach((step, i) => {
+      if (step > state.position) return;
+      count += 1;
+      if (!data.indoor[data.reading_cell[i]]) seen.add(data.reading_cell[i]);
+    });
+    const outdoor = cells - data.indoor.reduce((sum, one) => sum + one, 0);
+    return [count.toLocaleString("en").replaceAll(",", "\u2009"), `in ${number((100 * seen.size) / outdoor, 1)} % of the outdoor cells`];
+  }
+
+  function flown() {
+    const metres = survey.flown_m[Math.min(Math.floor(state.position + 1e-6), survey.flown_m.length - 1)];
+    return [number(metres, 0), `${number(metres / survey.speed_mps / 60, 1)} min at ${survey.speed_mps} m/s`];
+  }
+
+  const liveScore = (name) => survey.live[name][scoreIndex()];
+  const figures = {
+    rmse_db: () => [number(liveScore("rmse_db"), 1)],
+    expected_rmse_db: () => [number(liveScore("expected_rmse_db"), 1)],
+    coverage90: () => [number(liveScore("coverage90") === null ? null : 100 * liveScore("coverage90"), 0)],
+    gof: () => [(liveScore("gof") > 0 ? "+" : "") + number(liveScore("gof"), 2)],
+    covered,
+    flown,
+    readings: readingsByNow,
+  };
+
+  let figuresOf = "";
+  function showFigures() {
+    const of = [state.frame, Math.floor(state.position), $("threshold").value].join();
+    if (of === figuresOf) return;
+    figuresOf = of;
+    for (const tile of document.querySelectorAll("[data-live]")) {
+      const [value, note] = figures[tile.dataset.live]();
+      tile.querySelector(".value span").textContent = value;
+      if (note) tile.querySelector(".note").textContent = note;
+    }
+  }
+
   // ---- time ------------------------------------------------------------------------------------------------------------------
   function show(position) {
     state.position = Math.max(0, Math.min(lastStep, position));
@@ -514,6 +576,7 @@ async function main() {
     drawMap();
     drawBar();
     moveCursor();
+    showFigures();
     if (state.hover !== null) showReadout();
     document.body.dataset.step = String(steps[state.frame]);
     document.body.dataset.view = state.view;
@@ -528,7 +591,9 @@ async function main() {
 
   // The address names what is shown, so that it can be sent to somebody.
   function keepLink() {
-    const link = `#step=${steps[state.frame]}&view=${state.view}`;
+    let link = `#step=${steps[state.frame]}&view=${state.view}`;
+    if (state.group) link += `&score=${state.group}`;
+    if ($("threshold").value !== thresholdAtFirst) link += `&threshold=${$("threshold").value}`;
     if (location.hash !== link) history.replaceState(null, "", link);
   }
 
@@ -603,6 +668,13 @@ async function main() {
   function followLink() {
     const link = new URLSearchParams(location.hash.slice(1));
     if (link.has("view")) choose(link.get("view"));
+    if (survey.groups[link.get("score")]) {
+      $("metric").value = link.get("score");
+      state.group = Number(link.get("score"));
+      drawChart();
+    }
+    if (link.has("threshold")) $("threshold").value = link.get("threshold");
+    showFigures();
     if (link.has("step")) {
       const step = Number(link.get("step"));
       goTo(steps.filter((s) => s <= step).length - 1);
@@ -620,7 +692,9 @@ async function main() {
   $("metric").onchange = (event) => {
     state.group = Number(event.target.value);
     drawChart();
+    keepLink();
   };
+  $("threshold").oninput = () => (showFigures(), keepLink());
   const point = (event) => {
     state.hover = cellAt(event);
     drawMap();
@@ -637,7 +711,7 @@ async function main() {
     showReadout();
   });
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, .scroll")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, .scroll, [type=number]")) return;
     const native = event.target.closest("input"); // slider and map choice have arrow keys of their own
     const order = Object.keys(views);
     if (event.key === "ArrowLeft" && !native) stepBack();
