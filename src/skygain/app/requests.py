@@ -39,6 +39,7 @@ from skygain.missions.requests import (
     MissionIngestRequest,
     MissionNewRequest,
     MissionPlanRequest,
+    MissionServeRequest,
     MissionStatusRequest,
 )
 from skygain.survey.requests import (
@@ -386,6 +387,7 @@ COMMANDS: dict[str, type[Request]] = {
     "mission plan": MissionPlanRequest,
     "mission ingest": MissionIngestRequest,
     "mission status": MissionStatusRequest,
+    "mission serve": MissionServeRequest,
     "inspect": InspectRequest,
     "evaluate": EvaluateRequest,
     "methods": MethodsRequest,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-__all__ = ["run_ingest", "run_new", "run_plan", "run_status"]
+__all__ = ["run_ingest", "run_new", "run_plan", "run_serve", "run_status"]
 
 from typing import TYPE_CHECKING, Protocol
 
 from skygain.ground.declared import part
+from skygain.ground.errors import InputError, require
 from skygain.missions.requests import (
     MissionIngestRequest,
     MissionNewRequest,
     MissionPlanRequest,
+    MissionServeRequest,
     MissionStatusRequest,
 )
 from skygain.survey.requests import RecordingRequest
@@ -171,3 +173,39 @@ def run_status(request: MissionStatusRequest, progress: Progress) -> str:
             {"error_db": found.error_db, "next_db": found.next_db, "stop": found.stop},
         )
     return "\n".join(lines)
+
+
+def run_serve(request: MissionServeRequest, progress: Progress) -> str:
+    """Serve the live page until it is interrupted."""
+    require("starlette", "serve")
+    require("uvicorn", "serve")
+    import secrets
+    import socket
+
+    import uvicorn
+
+    from skygain.missions.serve import application, is_loopback
+
+    progress.phase("reading the mission")
+    token = secrets.token_urlsafe(24)
+    served = application(request.folder, request.host, token)
+    family = socket.AF_INET6 if ":" in request.host else socket.AF_INET
+    try:
+        listener = socket.create_server((request.host, request.port), family=family)
+    except OSError as error:
+        raise InputError(
+            f"cannot listen on {request.host} port {request.port}: {error.strerror or error}; give "
+            "another `port` or `host`"
+        ) from error
+    port = listener.getsockname()[1]
+    shown = f"[{request.host}]" if ":" in request.host else request.host
+    progress.note(f"page: http://{shown}:{port}/#token={token}")
+    if not is_loopback(request.host):
+        progress.note(
+            "others who have this address can read and write the mission; it is not encrypted"
+        )
+    progress.phase("")
+    config = uvicorn.Config(served, log_level="warning", timeout_graceful_shutdown=1)
+    with listener:
+        uvicorn.Server(config).run(sockets=[listener])
+    return ""
