@@ -7,6 +7,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     cities,
     combined,
     evaluations,
+    foreign,
     kriging,
     measured,
     networks,

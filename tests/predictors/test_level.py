@@ -29,12 +29,14 @@ OURS = {
     "inferred at any level": lambda: create_predictor("kriging-inferred", level="any"),
 }
 """predictors that no single name builds"""
+SCENARIO = example_scenario((26, 26), transmitter=False)
+"""one city, so that networks compute their maps of it once"""
 TOLERANCE_DB = {"gstools": 1e-2}
 """its least squares stop early"""
 
 
 def _maps(predictor, shift_db, n, noise_std_db, floor):
-    scenario = example_scenario((26, 26), transmitter=False)
+    scenario = SCENARIO
     rng = np.random.default_rng(5)
     x, y = scenario.grid.xy_m(scenario.grid.cells).T
     gain = -100 + 12 * np.sin(x / 20) + 10 * np.cos(y / 25) + 2 * rng.standard_normal(len(x))

@@ -22,6 +22,7 @@ PREDICTORS.register("thin-plate", "skygain.predictors.interpolators.thin_plate:T
 PREDICTORS.register("idw", "skygain.predictors.interpolators.idw:IdwPredictor")
 PREDICTORS.register("knn", "skygain.predictors.interpolators.knn:KnnPredictor")
 PREDICTORS.register("operator", "skygain.predictors.networks.operator:OperatorPredictor")
+PREDICTORS.register("adaptive", "skygain.predictors.adaptive:AdaptivePredictor")
 PREDICTORS.register("paper-unet", "skygain.predictors.networks.paper_unet:PaperUNetPredictor")
 PREDICTORS.register("paper-unet-mapblind", "skygain.predictors.networks.paper_unet:map_blind_unet")
 PREDICTORS.register("unet", "skygain.predictors.networks.unet:UNetPredictor")

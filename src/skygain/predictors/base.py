@@ -46,6 +46,9 @@ class Predictor(ABC):
     """whether the method needs to be told where the transmitter is, can make use of it, or never
     looks"""
 
+    needs_gain: ClassVar[bool] = False
+    """whether the level of a reading tells the method something, so that it must be a gain in dB"""
+
     @abstractmethod
     def begin(self, scenario: Scenario) -> Belief:
         """The belief before the first measurement."""

@@ -101,6 +101,11 @@ class KrigingPredictor(Predictor):
             self, "transmitter", "required" if self.trend == "log-distance" else "unused"
         )
 
+    @property
+    def needs_gain(self) -> bool:  # type: ignore[override]
+        """Where its parameters or the path-loss line know the level."""
+        return self.trend == "log-distance" or self.level == "gain" or self.parameters is not None
+
     @cached_property
     def _trained(self) -> Trained:
         of = self.parameters

@@ -66,6 +66,11 @@ class ResidualKrigingPredictor(Predictor):
         """As the other predictor's."""
         return self._base.transmitter
 
+    @property
+    def needs_gain(self) -> bool:  # type: ignore[override]
+        """As the other predictor."""
+        return self._base.needs_gain
+
     def outside_training(
         self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
     ) -> str:

@@ -16,7 +16,14 @@ map; until then the likeliest. One street does not speak for a map.
 
 from __future__ import annotations
 
-__all__ = ["fit_is_due", "fit_to_survey", "likelihood_loss", "map_estimate", "survey_priors"]
+__all__ = [
+    "fit_is_due",
+    "fit_rows",
+    "fit_to_survey",
+    "likelihood_loss",
+    "map_estimate",
+    "survey_priors",
+]
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -139,6 +146,12 @@ def fit_is_due(size: int, fitted_at: int) -> bool:
     return size >= max(FIRST_FIT, FIT_GROWTH * fitted_at)
 
 
+def fit_rows(grid: Grid, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which of the readings at raveled ``cells[n]`` enter a fit. It depends on the cells alone, so
+    the order of the readings does not matter."""
+    return np.argsort(np.random.default_rng(0).permutation(grid.size)[cells])[:FIT_ROWS]
+
+
 def fit_to_survey(
     grid: Grid,
     priors: Sequence[tuple[KrigingParameters, float]],
@@ -154,9 +167,7 @@ def fit_to_survey(
         readings: values at distinct cells.
         columns: gives the trend's columns ``[n, k]`` at raveled ``cells[n]``.
     """
-    # Which rows are left out depends on their cells only, so the order of the readings does not
-    # matter.
-    rows = np.argsort(np.random.default_rng(0).permutation(grid.size)[readings.cells])[:FIT_ROWS]
+    rows = fit_rows(grid, readings.cells)
     cells, gain, noise = readings.cells[rows], readings.gain_db[rows], readings.noise_db2[rows]
     h, xy = columns(cells), grid.xy_m(grid.cells[cells])
     distance = np.linalg.norm(xy[:, None] - xy[None], axis=-1)

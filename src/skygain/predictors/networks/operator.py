@@ -23,7 +23,7 @@ __all__ = ["OperatorBelief", "OperatorPredictor", "OperatorSettings"]
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,8 @@ class OperatorPredictor(Predictor):
         first = min(self.settings.at_most, max(FIRST_ALWAYS, FIRST_WORK // cells))
         held = (12.0 * readings + 12.0 * first) * cells
         return super().memory_bytes(cells, readings) + held + NETWORKS_BYTES
+
+    needs_gain: ClassVar[bool] = True
 
     def outside_training(
         self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ class PaperUNetPredictor(Predictor):
     """the map-blind twin"""
     runtime: str = "onnx"
     """what runs the network, see `skygain.networks.runtime`"""
+
+    needs_gain: ClassVar[bool] = True
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         """The belief before the first measurement.

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ class UNetPredictor(Predictor):
     """name or file of the weights"""
     runtime: str = "onnx"
     """what runs the network, see `skygain.networks.runtime`"""
+
+    needs_gain: ClassVar[bool] = True
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         _ = self._network

@@ -1,0 +1,299 @@
+"""A belief that listens to its own readings: several methods, weighed by what they foretold.
+
+Each method takes the readings in by itself. How well it foretold those that came later
+(`skygain.predictors.adaptive_votes`) gives its weight and what its variance is multiplied by; the
+posterior is the mixture (`skygain.fields.joint_mixture`). A method whose map does not depend on the
+readings alone, as the operator's does not, also enters a second time with that map moved and scaled
+to them (`skygain.predictors.kriging.drift`). Levels may be in dBm: what a network needs to be told
+is found on the way (`skygain.predictors.adaptive_level`), so a constant added to every reading is
+added to the map.
+"""
+
+from __future__ import annotations
+
+__all__ = ["AdaptiveBelief", "AdaptivePredictor"]
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skygain.fields.joint_mixture import JointMixture, mixed
+from skygain.grid import Grid
+from skygain.ground.errors import InputError
+from skygain.measurements import Measurements
+from skygain.posterior import Posterior
+from skygain.predictors.adaptive_level import found_level_db, raw_map
+from skygain.predictors.adaptive_votes import GROWTH, Forecast, Votes
+from skygain.predictors.base import Belief, Predictor
+from skygain.predictors.interpolators.readings import Readings, checked_flat, combined
+from skygain.predictors.kriging.drift import DriftKriging
+from skygain.predictors.kriging.survey_fit import fit_is_due
+from skygain.predictors.networks.operator import OperatorBelief
+from skygain.scenario import Scenario
+
+LEVELS = ("any", "gain")
+"""what may be said of the readings' level"""
+LEAST_BATCH = 6
+"""readings that are taken in together at least; more come one part after the other, so that the
+later ones judge what the earlier ones taught"""
+LEVEL_GROWTH = 2.0
+"""the level is looked for again when there are this many times as many readings"""
+LEVEL_MOVE_DB = 1.0
+"""and a method begun anew when it has moved by this"""
+TRAINED_LEVEL_DB = -137.0
+"""mean gain of the training cities"""
+LEAST_WEIGHT = 1e-3
+"""a method of less weight is left out of the posterior"""
+
+
+@dataclass(frozen=True)
+class AdaptivePredictor(Predictor):
+    """``adaptive:of=operator,kriging-blind``; see the module.
+
+    Raises:
+        InputError: no method, an unknown one, or an unknown level.
+    """
+
+    of: str | tuple[Predictor, ...] = "operator,kriging-blind"
+    """names of the methods, with commas between them, or predictors built already"""
+    level: str = "any"
+    """``"any"``: readings of any level, in dBm too, are taken alike; ``"gain"``: they are channel
+    gains in dB, as networks are trained on"""
+    drift: bool = True
+    """whether the operator's map also enters moved and scaled to the readings"""
+
+    def __post_init__(self) -> None:
+        if self.level not in LEVELS:
+            raise InputError(f"unknown level {self.level!r}; expected one of {', '.join(LEVELS)}")
+        if not self.methods:
+            raise InputError(
+                "the adaptive predictor needs methods to weigh; name them in of=, e.g. "
+                "of=operator,kriging-blind"
+            )
+
+    @cached_property
+    def methods(self) -> tuple[Predictor, ...]:
+        """What is weighed."""
+        if not isinstance(self.of, str):
+            return tuple(self.of)
+        from skygain.predictors import create_predictor
+
+        names = [name.strip() for name in self.of.split(",") if name.strip()]
+        if "adaptive" in names:
+            raise InputError("the adaptive predictor cannot weigh itself; name others in of=")
+        return tuple(create_predictor(name) for name in names)
+
+    @property
+    def transmitter(self) -> Literal["required", "optional", "unused"]:  # type: ignore[override]
+        """As its methods'."""
+        asked = [method.transmitter for method in self.methods]
+        return "required" if "required" in asked else max(asked, key=lambda a: a == "optional")
+
+    @property
+    def interpolates(self) -> bool:  # type: ignore[override]
+        """As its methods do."""
+        return all(method.interpolates for method in self.methods)
+
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """That of the methods, and of what each foretold."""
+        held = sum(method.memory_bytes(cells, readings) for method in self.methods)
+        return held + (16.0 + 4.0 * readings) * len(self.methods) * cells
+
+    def begin(self, scenario: Scenario) -> AdaptiveBelief:
+        """The beliefs of all methods before the first measurement."""
+        beliefs = tuple(method.begin(scenario) for method in self.methods)
+        drifts = sum(self.drift and isinstance(belief, OperatorBelief) for belief in beliefs)
+        nothing = np.empty(0)
+        return AdaptiveBelief(
+            scenario=scenario,
+            measurements=Measurements.none(),
+            predictor=self,
+            beliefs=beliefs,
+            offset_db=(0.0,) * len(beliefs),
+            drifts=(None,) * drifts,
+            votes=Votes.none(len(beliefs) + drifts),
+            readings=Readings(nothing.astype(np.int64), nothing, nothing),
+            fitted_at=0,
+            levelled_at=0,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveBelief(Belief):
+    """The beliefs of the methods, and what is thought of them."""
+
+    scenario: Scenario
+    measurements: Measurements
+    predictor: AdaptivePredictor
+    """settings"""
+    beliefs: tuple[Belief, ...]
+    """one of each method, which read ``gain − offset``"""
+    offset_db: tuple[float, ...]
+    """what is taken off the readings before each method reads them"""
+    drifts: tuple[DriftKriging | None, ...]
+    """Kriging around the map of each operator; ``None`` before the first fit"""
+    votes: Votes
+    """of the methods, then of the drifts"""
+    readings: Readings
+    """all of them but those at the receiver's floor, one per cell"""
+    fitted_at: int
+    """readings at the last fit of the drifts"""
+    levelled_at: int
+    """readings when the level was last looked for"""
+
+    def updated(self, measurements: Measurements) -> AdaptiveBelief:
+        """The belief after ``measurements``. Many at once are taken in part by part, in an order
+        that follows from their cells alone."""
+        flat = checked_flat(self.scenario.grid, measurements)
+        if not len(measurements):
+            return self
+        belief = self
+        for part in _parts(self.scenario.grid, flat, len(self.readings)):
+            belief = belief._grown(measurements.taken(part), flat[part])
+        return replace(belief, measurements=self.measurements.extended(measurements))
+
+    def posterior(self) -> JointMixture:
+        return self._posterior
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """``[method, then drift]`` weight of each, summing to 1."""
+        return self.votes.weight
+
+    @cached_property
+    def _posterior(self) -> JointMixture:
+        weight = self.weight
+        every = self._posteriors
+        if self.drifts and any(drift is None for drift in self.drifts):
+            weight = weight[: len(every)]
+        kept = np.flatnonzero(weight >= LEAST_WEIGHT * weight.max())
+        return mixed(
+            [every[k] for k in kept],
+            weight[kept],
+            self.votes.factor[kept],
+            self.scenario.grid.spacing_m,
+        )
+
+    @cached_property
+    def _posteriors(self) -> list[Posterior]:
+        """Of the methods, then of the drifts that are there, at the level of the readings."""
+        plain = [belief.posterior() for belief in self.beliefs]
+        moved = [
+            replace(p, mean_db=p.mean_db + offset) if offset else p
+            for p, offset in zip(plain, self.offset_db, strict=True)
+        ]
+        return [*moved, *(drift.posterior() for drift in self.drifts if drift is not None)]
+
+    def _grown(self, news: Measurements, flat: NDArray[np.int64]) -> AdaptiveBelief:
+        """With a few readings more."""
+        grid, noise = self.scenario.grid, news.noise_std_db**2
+        order = np.lexsort((news.gain_db, flat))
+        plain = order[~news.censored[order]]
+        coming = combined(flat[plain], news.gain_db[plain], noise[plain])
+        exact = self.readings.cells[self.readings.noise_db2 == 0]
+        fresh = ~np.isin(coming.cells, exact)
+        coming = Readings(coming.cells[fresh], coming.gain_db[fresh], coming.noise_db2[fresh])
+        votes = self.votes.counted(grid, coming)
+        drifts = [None if drift is None else drift.updated(coming) for drift in self.drifts]
+        for i in np.flatnonzero(news.censored):
+            reading = int(flat[i]), float(news.gain_db[i]), float(noise[i])
+            drifts = [None if d is None else d.with_floor_reading(*reading) for d in drifts]
+        old = self.readings
+        both = combined(
+            np.append(old.cells, coming.cells),
+            np.append(old.gain_db, coming.gain_db),
+            np.append(old.noise_db2, coming.noise_db2),
+        )
+        grown = replace(
+            self,
+            measurements=self.measurements.extended(news),
+            votes=votes,
+            drifts=tuple(drifts),
+            readings=both,
+        )
+        return grown._listened(news)._fitted()._foretelling()
+
+    def _listened(self, news: Measurements) -> AdaptiveBelief:
+        """The methods with the readings ``news``, at a level that is looked for now and then."""
+        size = len(self.readings)
+        looking = self.predictor.level == "any" and size >= LEVEL_GROWTH * self.levelled_at
+        beliefs, offsets = list(self.beliefs), list(self.offset_db)
+        for k, method in enumerate(self.predictor.methods):
+            anew = False
+            if looking and method.needs_gain:
+                level = self._level_db(beliefs[k], offsets[k])
+                anew = self.levelled_at == 0 or abs(level - offsets[k]) > LEVEL_MOVE_DB
+            if anew:
+                offsets[k] = level
+                beliefs[k] = method.begin(self.scenario).updated(_moved(self.measurements, level))
+            else:
+                beliefs[k] = beliefs[k].updated(_moved(news, offsets[k]))
+        return replace(
+            self,
+            beliefs=tuple(beliefs),
+            offset_db=tuple(offsets),
+            levelled_at=size if looking else self.levelled_at,
+        )
+
+    def _level_db(self, belief: Belief, offset_db: float) -> float:
+        """What to take off the readings."""
+        readings = self.readings
+        if not len(readings):  # all at the receiver's floor
+            floor = self.measurements
+            flat = self.scenario.grid.flat(floor.cell)
+            readings = combined(flat, floor.gain_db, np.zeros(len(floor)))
+        if not isinstance(belief, OperatorBelief):
+            return float(readings.gain_db.mean()) - TRAINED_LEVEL_DB
+        middle = offset_db
+        if self.levelled_at == 0:
+            flown, _ = raw_map(belief, self.scenario.uav_altitude_m)
+            middle = float((readings.gain_db - flown[readings.cells]).mean())
+        return found_level_db(belief, readings.cells, readings.gain_db, middle)
+
+    def _fitted(self) -> AdaptiveBelief:
+        """With the drifts made anew, when there are enough more readings."""
+        size = len(self.readings)
+        if not self.drifts or not fit_is_due(size, self.fitted_at):
+            return self
+        s, found = self.scenario, []
+        operators = [b for b in self.beliefs if isinstance(b, OperatorBelief)]
+        for belief, drift in zip(operators, self.drifts, strict=True):
+            maps = (raw_map(belief, z) for z in (s.uav_altitude_m, s.prediction_altitude_m))
+            readings = self.readings if drift is None else drift.readings()
+            found.append(DriftKriging.around(s, *maps, readings))
+        return replace(self, drifts=tuple(found), fitted_at=size)
+
+    def _foretelling(self) -> AdaptiveBelief:
+        """With a new forecast, when the last one is old."""
+        size = len(self.readings)
+        if not size or not self.votes.due(size) or None in self.drifts:
+            return self
+        forecast = Forecast.of(self.readings.cells, self._posteriors)
+        return replace(self, votes=self.votes.with_forecast(forecast))
+
+
+def _moved(measurements: Measurements, offset_db: float) -> Measurements:
+    if not offset_db:
+        return measurements
+    return replace(measurements, gain_db=measurements.gain_db - offset_db)
+
+
+def _parts(grid: Grid, flat: NDArray[np.int64], known: int) -> Iterator[NDArray[np.int64]]:
+    """Readings in parts, those of one cell together."""
+    cells, which = np.unique(flat, return_inverse=True)
+    if len(cells) <= max(LEAST_BATCH, (GROWTH - 1) * known):
+        yield np.arange(len(flat))
+        return
+    place = np.empty(len(cells), dtype=np.int64)
+    place[np.argsort(np.random.default_rng(0).permutation(grid.size)[cells])] = np.arange(
+        len(cells)
+    )
+    done = 0
+    while done < len(cells):
+        size = int(max(LEAST_BATCH, (GROWTH - 1) * (known + done)))
+        yield np.flatnonzero((place[which] >= done) & (place[which] < done + size))
+        done += size
