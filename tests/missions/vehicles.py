@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import socket
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -73,3 +76,179 @@ def imported_by_mavsdk(port: int, plan: Path) -> list[Any]:
         check=True,
     )
     return [SimpleNamespace(**one) for one in json.loads(done.stdout)]
+
+
+class SimulatedVehicle:
+    """An autopilot that speaks the mission protocol and flies what it was sent.
+
+    Args:
+        port: of the ground station on loopback.
+        home: latitude and longitude where it stands.
+        level: what its receiver hears at a latitude and longitude.
+        autopilot: ``"PX4"`` or ``"ARDUPILOTMEGA"``.
+        pace: its seconds in one second.
+        reject: number of an item that it refuses.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        home: tuple[float, float],
+        level: Callable[[float, float], float],
+        *,
+        system: int = 1,
+        autopilot: str = "PX4",
+        pace: float = 20.0,
+        reject: int | None = None,
+    ) -> None:
+        from pymavlink import mavutil
+
+        self.mav = mavutil.mavlink
+        self.link = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{port}", source_system=system, source_component=1
+        )
+        self.level, self.pace, self.reject = level, pace, reject
+        self.px4 = autopilot == "PX4"
+        self.autopilot = getattr(self.mav, f"MAV_AUTOPILOT_{autopilot}")
+        self.home = home
+        self.east_m = 111_319.5 * math.cos(math.radians(home[0]))
+        self.xyz = [0.0, 0.0, 0.0]
+        self.items: list[Any] = []
+        self.coming: list[Any] = []
+        self.wanted = 0
+        self.current = 0
+        self.armed, self.mode, self.speed, self.battery = False, 0, 5.0, 1.0
+        self.silent_until = 0.0
+        self.trace: list[tuple[float, float, float, float]] = []
+        """(wall time, latitude, longitude, height) at every step"""
+        self.uploads = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> SimulatedVehicle:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        self.link.close()
+
+    def kill(self) -> None:
+        """End at once, as a vehicle that falls."""
+        self._over.set()
+        self._thread.join(timeout=2.0)
+
+    def cut(self, seconds: float) -> None:
+        """Say and hear nothing for so long; it flies on."""
+        self.silent_until = time.monotonic() + seconds
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Latitude and longitude."""
+        return (
+            self.home[0] + self.xyz[1] / 111_319.5,
+            self.home[1] + self.xyz[0] / self.east_m,
+        )
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        said = {"beat": 0.0, "place": 0.0, "level": 0.0}
+        while not self._over.wait(0.01):
+            now = time.monotonic()
+            step, last = (now - last) * self.pace, now
+            self._fly(step)
+            lat, lon = self.place
+            self.trace.append((now, lat, lon, self.xyz[2]))
+            cut = now < self.silent_until
+            while (message := self.link.recv_match(blocking=False)) is not None:
+                if not cut:
+                    self._hear(message)
+            if cut:
+                continue
+            for name, every, say in (
+                ("beat", 1.0, self._beat),
+                ("place", 0.2, self._place),
+                ("level", 1.0, self._level),
+            ):
+                if (now - said[name]) * self.pace >= every:
+                    said[name] = now
+                    say()
+
+    def _fly(self, step: float) -> None:
+        if not self.armed:
+            return
+        self.battery -= step / (18 * 60)
+        left = step
+        while left > 0 and self.armed and self.current < len(self.items):
+            item = self.items[self.current]
+            if item.command == 178:
+                self.speed, self.current = item.param2, self.current + 1
+            elif item.command in (16, 22) and not (item.command == 16 and item.frame == 0):
+                to = (
+                    (item.y / 1e7 - self.home[1]) * self.east_m,
+                    (item.x / 1e7 - self.home[0]) * 111_319.5,
+                    item.z,
+                )
+                if item.command == 22:
+                    to = (self.xyz[0], self.xyz[1], item.z)
+                left = self._toward(to, 2.0 if item.command == 22 else self.speed, left)
+            elif item.command == 20:
+                left = self._toward((0.0, 0.0, 0.0), 1.0, left)
+                if self.xyz[2] <= 0.01:
+                    self.armed = False
+            else:
+                self.current += 1
+
+    def _toward(self, to: tuple[float, float, float], speed: float, left: float) -> float:
+        gap = math.dist(to, self.xyz)
+        if gap <= speed * left + 1e-9:
+            self.xyz = list(to)
+            self.current += 1
+            return left - gap / speed
+        share = speed * left / gap
+        self.xyz = [a + share * (b - a) for a, b in zip(self.xyz, to, strict=True)]
+        return 0.0
+
+    def _beat(self) -> None:
+        base = 1 | (128 if self.armed else 0)
+        self.link.mav.heartbeat_send(2, self.autopilot, base, self.mode, 4)
+        self.link.mav.sys_status_send(
+            0, 0, 0, 0, 16000, -1, max(0, int(self.battery * 100)), 0, 0, 0, 0, 0, 0
+        )
+
+    def _place(self) -> None:
+        lat, lon = self.place
+        height = round(self.xyz[2] * 1000)
+        self.link.mav.global_position_int_send(
+            0, round(lat * 1e7), round(lon * 1e7), height, height, 0, 0, 0, 0
+        )
+
+    def _level(self) -> None:
+        if self.xyz[2] > 2.0:
+            self.link.mav.named_value_float_send(0, b"rsrp", self.level(*self.place))
+
+    def _hear(self, message: Any) -> None:
+        kind = message.get_type()
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if kind == "MISSION_COUNT":
+            self.coming, self.wanted = [], message.count
+            self.link.mav.mission_request_int_send(*source, 0, 0)
+        elif kind == "MISSION_ITEM_INT" and self.wanted:
+            if message.seq == self.reject:
+                self.wanted = 0
+                self.link.mav.mission_ack_send(*source, 5, 0)
+            elif message.seq == len(self.coming):
+                self.coming.append(message)
+                if len(self.coming) < self.wanted:
+                    self.link.mav.mission_request_int_send(*source, len(self.coming), 0)
+                else:
+                    self.items, self.wanted, self.current = self.coming, 0, 0
+                    self.uploads += 1
+                    self.link.mav.mission_ack_send(*source, 0, 0)
+        elif kind == "MISSION_SET_CURRENT":
+            self.current = message.seq
+        elif kind == "COMMAND_LONG":
+            if message.command == 400:
+                self.armed = message.param1 == 1
+            elif message.command == 176:
+                self.mode = (4 << 16) | (4 << 24) if self.px4 else int(message.param2)

@@ -36,6 +36,7 @@ from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
 from skygain.missions.requests import (
+    MissionFlyRequest,
     MissionIngestRequest,
     MissionNewRequest,
     MissionPlanRequest,
@@ -387,6 +388,7 @@ COMMANDS: dict[str, type[Request]] = {
     "mission plan": MissionPlanRequest,
     "mission ingest": MissionIngestRequest,
     "mission status": MissionStatusRequest,
+    "mission fly": MissionFlyRequest,
     "mission serve": MissionServeRequest,
     "inspect": InspectRequest,
     "evaluate": EvaluateRequest,

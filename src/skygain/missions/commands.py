@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-__all__ = ["run_ingest", "run_new", "run_plan", "run_serve", "run_status"]
+__all__ = ["run_fly", "run_ingest", "run_new", "run_plan", "run_serve", "run_status"]
 
 from typing import TYPE_CHECKING, Protocol
 
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError, require
 from skygain.missions.requests import (
+    MissionFlyRequest,
     MissionIngestRequest,
     MissionNewRequest,
     MissionPlanRequest,
@@ -17,7 +18,11 @@ from skygain.missions.requests import (
 )
 from skygain.survey.requests import RecordingRequest
 
+_AT_HOME_M = 30.0
+"""a vehicle farther from its take-off place stands somewhere else"""
+
 if TYPE_CHECKING:
+    from skygain.missions.folder import Mission
     from skygain.missions.sortie import Sortie
 
 
@@ -209,3 +214,86 @@ def run_serve(request: MissionServeRequest, progress: Progress) -> str:
     with listener:
         uvicorn.Server(config).run(sockets=[listener])
     return ""
+
+
+def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
+    """Fly the open sortie live, or show what would be sent."""
+    from skygain.missions.dry_run import dry_run
+    from skygain.missions.folder import Mission
+    from skygain.missions.next_sortie import open_sortie
+
+    links = tuple(str(one) for one in request.link)
+    with Mission.opened(request.folder) as mission:
+        progress.phase("reading the map")
+        site = mission.site
+        sortie = open_sortie(mission)
+        if sortie is None:
+            raise InputError(
+                f"no sortie of {request.folder} waits to be flown; plan one with: skygain mission "
+                "plan"
+            )
+        if links and len(links) != len(sortie.flights):
+            raise InputError(
+                f"{len(links)} links for the {len(sortie.flights)} UAVs of sortie {sortie.number}; "
+                "give one `link` for each"
+            )
+        if request.dry_run:
+            return dry_run(site, sortie, links)
+        if not links:
+            raise InputError(
+                "the vehicles' addresses are missing; give one `link` for each UAV, or "
+                "`dry_run=True`"
+            )
+        with mission.writing("skygain mission fly"):
+            return _flown_live(mission, sortie, links, request, progress)
+
+
+def _flown_live(
+    mission: Mission,
+    sortie: Sortie,
+    links: tuple[str, ...],
+    request: MissionFlyRequest,
+    progress: Progress,
+) -> str:
+    import contextlib
+    import math
+
+    from skygain.missions.live import LiveFlight
+    from skygain.missions.vehicle_link import VehicleLink
+
+    with contextlib.ExitStack() as stack:
+        vehicles = [
+            stack.enter_context(VehicleLink(flight.uav, link, request.level))
+            for flight, link in zip(sortie.flights, links, strict=True)
+        ]
+        progress.phase("waiting for the vehicles")
+        for vehicle, flight in zip(vehicles, sortie.flights, strict=True):
+            if not vehicle.wait(request.wait_s):
+                raise InputError(
+                    f"UAV {flight.uav} is not heard on {vehicle.link} with a position; check its "
+                    "`link`, or give a larger `wait_s`"
+                )
+            heard = vehicle.heard
+            place = mission.site.grid.xy_m_at_latlon((heard.latitude, heard.longitude))
+            away = math.dist(place, flight.pad_m[:2])
+            if away > _AT_HOME_M:
+                raise InputError(
+                    f"UAV {flight.uav} on {vehicle.link} stands {away:.0f} m from its take-off "
+                    "place; put it there, or exchange the order of `link`"
+                )
+        flight_of_all = LiveFlight(mission, sortie, vehicles, told=progress.note)
+        progress.phase("uploading")
+        refused = flight_of_all.upload()
+        if refused:
+            shown = ", ".join(f"UAV {uav}" for uav in refused)
+            raise InputError(f"{shown} did not take the mission; nothing was armed")
+        armed = False
+        if request.arm:
+            question = f"type yes to arm {len(vehicles)} vehicles and take off: "
+            armed = input(question).strip().lower() == "yes"
+            if not armed:
+                return "uploaded; nothing was armed"
+        progress.phase("flying")
+        flight_of_all.lead(arm=armed)
+        states = ", ".join(f"UAV {r.uav} {r.state}" for r in flight_of_all.riders)
+    return f"sortie {sortie.number}: {states}\nnext: skygain mission status {request.folder}"

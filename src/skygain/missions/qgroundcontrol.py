@@ -43,8 +43,8 @@ class Item:
     """above the take-off place"""
 
 
-def items(orders: Orders) -> list[Item]:
-    """Take-off, speed, the way, and the return that lands."""
+def items(orders: Orders, *, airborne: bool = False) -> list[Item]:
+    """Take-off (unless it is ``airborne``), speed, the way, and the return that lands."""
     lat, lon = orders.home
     way = [
         Item(
@@ -57,8 +57,9 @@ def items(orders: Orders) -> list[Item]:
         )
         for point in orders.points[1:]
     ]
+    up = Item(TAKEOFF, RELATIVE, (0.0, 0.0, 0.0, 0.0), lat, lon, orders.takeoff_m)
     return [
-        Item(TAKEOFF, RELATIVE, (0.0, 0.0, 0.0, 0.0), lat, lon, orders.takeoff_m),
+        *([] if airborne else [up]),
         # ground speed, in m/s, throttle as it is
         Item(SPEED, NO_PLACE, (1.0, orders.speed_mps, -1.0, 0.0)),
         *way,

@@ -185,7 +185,16 @@ class MissionFlyRequest(MissionRequest):
     dry_run: bool = False
     """show what would be sent, and send nothing"""
     arm: bool = False
-    """arm the vehicles and take off, after a typed yes"""
+    """arm the vehicles and take off, after a typed yes; else their pilots do"""
+    level: str = "NAMED_VALUE_FLOAT.rsrp"
+    """MESSAGE.field that holds the level, in dBm; for NAMED_VALUE_FLOAT the value's name"""
+    wait_s: float = named(20.0, flag="wait")
+    """seconds to wait for a vehicle's first heartbeat and position"""
+
+    def check(self) -> None:
+        """A level can be found."""
+        if not all(self.level.partition(".")):
+            raise InputError(f"`level` is MESSAGE.field, got {self.level!r}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,11 +36,15 @@ class Flight:
     """it takes off this long after the first UAV"""
     speed_mps: float = 5.0
     """along the legs"""
+    airborne: bool = False
+    """it is in the air at the first point already"""
 
     @cached_property
     def timeline(self) -> Timeline:
         """Where it is when."""
-        return timeline(self.route_m, self.pad_m[2], self.speed_mps, self.delay_s)
+        return timeline(
+            self.route_m, self.pad_m[2], self.speed_mps, self.delay_s, airborne=self.airborne
+        )
 
     @property
     def air_s(self) -> float:
@@ -67,6 +71,7 @@ class Flight:
             "pad_m": [round(float(v), 3) for v in self.pad_m],
             "delay_s": self.delay_s,
             "speed_mps": self.speed_mps,
+            "airborne": self.airborne,
         }
 
     @classmethod
@@ -81,6 +86,7 @@ class Flight:
             (x, y, z),
             float(data["delay_s"]),
             float(data["speed_mps"]),
+            bool(data["airborne"]),
         )
 
 
@@ -156,11 +162,20 @@ def corners(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def flight_along(
-    site: Site, uav: int, cells: NDArray[np.int64], ways: Ways, delay_s: float = 0.0
+    site: Site,
+    uav: int,
+    cells: NDArray[np.int64],
+    ways: Ways,
+    start_m: NDArray[np.float64] | None = None,
 ) -> Flight:
-    """The flight of ``uav`` from its pad along ``cells[k, (row, col)]`` and the short way home."""
+    """The flight of ``uav`` along ``cells[k, (row, col)]`` and the short way home.
+
+    It begins on its pad, or in the air at ``start_m[k, (x, y)]``, points that lead to the first
+    cell.
+    """
     pad = site.pads[uav]
-    out = corners(np.vstack([pad.xy_m, site.grid.xy_m(cells)]))
+    before = pad.xy_m if start_m is None else start_m
+    out = corners(np.vstack([before, site.grid.xy_m(cells)]))
     home = ways.way(cells[-1])
     there = _at_heights(site, out)
     back = _at_heights(site, home)
@@ -174,8 +189,8 @@ def flight_along(
         route,
         len(there),
         (x, y, pad.ground_m),
-        delay_s,
-        site.request.speed_mps,
+        speed_mps=site.request.speed_mps,
+        airborne=start_m is not None,
     )
 
 

@@ -64,7 +64,12 @@ def leg_seconds(length_m: NDArray[np.float64], speed_mps: float) -> NDArray[np.f
 
 
 def timeline(
-    route_m: NDArray[np.float64], ground_m: float, speed_mps: float, delay_s: float = 0.0
+    route_m: NDArray[np.float64],
+    ground_m: float,
+    speed_mps: float,
+    delay_s: float = 0.0,
+    *,
+    airborne: bool = False,
 ) -> Timeline:
     """The flight along ``route_m[point, (x, y, z)]``, from the ground below its first point to that
     below its last.
@@ -74,9 +79,10 @@ def timeline(
         ground_m: z of the pad.
         speed_mps: along the legs.
         delay_s: moment of take-off.
+        airborne: it is at the first point already.
     """
     route = np.asarray(route_m, dtype=float)
-    climb_s = (route[0, 2] - ground_m) / CLIMB_MPS
+    climb_s = 0.0 if airborne else (route[0, 2] - ground_m) / CLIMB_MPS
     runs = _runs(route)
     reached = np.zeros(len(route))
     at = delay_s + climb_s

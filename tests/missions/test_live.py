@@ -1,0 +1,220 @@
+"""Live flights with autopilots on loopback: one dies, a link breaks, an item is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from skygain.app.progress import SILENT
+from skygain.ground.errors import InputError
+from skygain.missions.commands import run_fly
+from skygain.missions.folder import Mission, made
+from skygain.missions.live import LiveFlight, LiveSettings
+from skygain.missions.requests import MissionFlyRequest
+from skygain.missions.vehicle_link import VehicleLink
+from skygain.missions.watching import LIVE
+from tests.missions.town import SOUTH_M, TO_DEGREES, WEST_M, mission_request
+from tests.missions.vehicles import SimulatedVehicle, free_port
+
+PACE = 15.0
+
+
+def level(latitude: float, longitude: float) -> float:
+    x, y = TO_DEGREES.transform(longitude, latitude, direction="INVERSE")
+    return -40.0 - 0.2 * float(np.hypot(x - WEST_M - 20, y - SOUTH_M - 20))
+
+
+@pytest.fixture
+def folder(town, sortie, tmp_path: Path) -> Path:
+    folder = made(
+        mission_request(town, tmp_path / "mission", planner="sequential-greedy:horizon=16")
+    )
+    with Mission.opened(folder) as mission:
+        mission.journal.add("planned", {"sortie": sortie.as_data()})
+    return folder
+
+
+@pytest.fixture
+def fleet(site, sortie):
+    """Three vehicles on their pads; their ports."""
+    with contextlib.ExitStack() as stack:
+        vehicles = []
+        for flight in sortie.flights:
+            lat, lon = site.latlon(np.array(flight.pad_m[:2]))
+            kind = "ARDUPILOTMEGA" if flight.uav == 1 else "PX4"
+            vehicles.append(
+                stack.enter_context(
+                    SimulatedVehicle(
+                        free_port(),
+                        (float(lat), float(lon)),
+                        level,
+                        system=flight.uav + 1,
+                        autopilot=kind,
+                        pace=PACE,
+                    )
+                )
+            )
+        yield vehicles
+
+
+def ports(fleet) -> list[int]:
+    return [v.link.destination_addr[1] for v in fleet]
+
+
+@contextlib.contextmanager
+def linked(fleet, sortie):
+    with contextlib.ExitStack() as stack:
+        links = [
+            stack.enter_context(
+                VehicleLink(f.uav, f"udpin:127.0.0.1:{port}", "NAMED_VALUE_FLOAT.rsrp")
+            )
+            for f, port in zip(sortie.flights, ports(fleet), strict=True)
+        ]
+        for link in links:
+            assert link.wait(10.0)
+        yield links
+
+
+def apart_m(site, fleet) -> float:
+    """The least distance of any two vehicles in the air at the same moment."""
+    least = np.inf
+    tracks = []
+    for vehicle in fleet:
+        t, lat, lon, height = np.array(vehicle.trace).T
+        xy = site.grid.xy_m_at_latlon(np.column_stack([lat, lon]))
+        tracks.append((t, np.column_stack([xy, height])))
+    for i, (t, place) in enumerate(tracks):
+        for other_t, other in tracks[:i]:
+            at = np.column_stack([np.interp(t, other_t, other[:, k]) for k in range(3)])
+            both = (place[:, 2] > 0.5) & (at[:, 2] > 0.5) & (t <= other_t[-1])
+            if both.any():
+                least = min(least, float(np.linalg.norm(place - at, axis=1)[both].min()))
+    return least
+
+
+def test_a_whole_flight_with_a_death_and_a_broken_link(
+    folder, site, sortie, fleet, tmp_path: Path
+) -> None:
+    """UAV 2 dies midway, UAV 1 is out of reach for 10 s: nothing read is lost, nobody comes too
+    near, and the others come home."""
+    lines: list[str] = []
+    settings = LiveSettings(pace=PACE, lost_s=15.0, keep_s=10.0)
+    with Mission.opened(folder) as mission, linked(fleet, sortie) as links:
+        mission.__dict__["site"] = site
+        flight = LiveFlight(mission, sortie, links, settings, told=lines.append)
+        assert flight.upload() == []
+
+        def trouble() -> None:
+            while fleet[2].xyz[2] < 25:
+                time.sleep(0.05)
+            time.sleep(30 / PACE)
+            fleet[1].cut(10 / PACE)
+            time.sleep(30 / PACE)
+            fleet[2].kill()
+
+        thread = threading.Thread(target=trouble, daemon=True)
+        thread.start()
+        flight.lead(arm=True, most_s=600)
+        thread.join()
+        states = {rider.uav: rider.state for rider in flight.riders}
+        readings = mission.journal.readings()
+        events = mission.journal.events("lost", "replanned")
+    assert states == {0: "landed", 1: "landed", 2: "lost"}, lines
+    assert [e["uav"] for e in events if e["kind"] == "lost"] == [2]
+    assert sum(e["kind"] == "replanned" for e in events) >= 3
+    assert fleet[0].uploads >= 2
+    assert max(flight.replan_s) < 2.0
+    assert apart_m(site, fleet) >= site.request.separation_m - 1.0  # positions 0.01 s apart
+    for vehicle in fleet[:2]:
+        assert np.hypot(*vehicle.xyz[:2]) < 1.0
+        assert not vehicle.armed
+    heard = {uav: sum(r.uav == uav for r in readings) for uav in (0, 1, 2)}
+    assert min(heard.values()) > 20
+    assert len({r.hash for r in readings}) == len(readings)
+    assert not (folder / LIVE).exists()
+    # every leg that was flown was clear: where each vehicle was, not where it was sent
+    import shapely
+
+    for vehicle in fleet:
+        _, lat, lon, height = np.array(vehicle.trace).T
+        up = height > 5
+        xy = site.grid.xy_m_at_latlon(np.column_stack([lat[up], lon[up]]))
+        near = min(
+            float(shapely.distance(shapely.points(xy), one).min())
+            for one in (*site.solid, *site.zones, site.area.exterior)
+        )
+        assert near >= site.request.clearance_m - 0.5
+
+
+def test_a_refused_item_stops_before_anything_is_armed(folder, site, sortie, fleet) -> None:
+    fleet[0].reject = 3
+    links = tuple(Path(f"udpin:127.0.0.1:{port}") for port in ports(fleet))
+    with pytest.raises(InputError, match="UAV 0 did not take the mission; nothing was armed"):
+        run_fly(MissionFlyRequest(folder=folder, link=links, arm=True), SILENT)
+    assert not any(vehicle.armed for vehicle in fleet)
+    assert fleet[1].items[0].command == 16  # ArduPilot got its home first
+    assert fleet[2].items[0].command == 22
+
+
+def test_nothing_is_armed_without_a_typed_yes(
+    folder, fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    links = tuple(Path(f"udpin:127.0.0.1:{port}") for port in ports(fleet))
+    monkeypatch.setattr("builtins.input", lambda question: "y")
+    told = run_fly(MissionFlyRequest(folder=folder, link=links, arm=True), SILENT)
+    assert told == "uploaded; nothing was armed"
+    assert not any(vehicle.armed for vehicle in fleet)
+    assert all(vehicle.uploads == 1 for vehicle in fleet)
+
+
+def test_a_dry_run_sends_nothing(folder, fleet, sortie) -> None:
+    told = run_fly(MissionFlyRequest(folder=folder, dry_run=True), SILENT)
+    assert told.count("return and land") == 3
+    assert told.count("fly to") == sum(len(f.route_m) - 1 for f in sortie.flights)
+    assert not any(vehicle.uploads for vehicle in fleet)
+
+
+def test_links_are_counted_and_places_checked(folder, site, sortie, fleet) -> None:
+    one = tuple(Path(f"udpin:127.0.0.1:{port}") for port in ports(fleet))
+    with pytest.raises(InputError, match="2 links for the 3 UAVs"):
+        run_fly(MissionFlyRequest(folder=folder, link=one[:2]), SILENT)
+    with pytest.raises(InputError, match="addresses are missing"):
+        run_fly(MissionFlyRequest(folder=folder), SILENT)
+    with pytest.raises(InputError, match="is no address"):
+        run_fly(MissionFlyRequest(folder=folder, link=(*one[:2], Path("somewhere"))), SILENT)
+    fleet[0].xyz = [80.0, 0.0, 0.0]
+    time.sleep(0.3)
+    with pytest.raises(InputError, match=r"UAV 0 .* stands 80 m from its take-off place"):
+        run_fly(MissionFlyRequest(folder=folder, link=one), SILENT)
+    silent = (*one[:2], Path(f"udpin:127.0.0.1:{free_port()}"))
+    fleet[0].xyz = [0.0, 0.0, 0.0]
+    time.sleep(0.3)
+    with pytest.raises(InputError, match="UAV 2 is not heard"):
+        run_fly(MissionFlyRequest(folder=folder, link=silent, wait_s=0.5), SILENT)
+
+
+def test_a_new_way_comes_home_in_the_time_that_is_left(folder, site, sortie, fleet) -> None:
+    with Mission.opened(folder) as mission, linked(fleet, sortie) as links:
+        mission.__dict__["site"] = site
+        flight = LiveFlight(mission, sortie, links, LiveSettings(pace=1.0))
+        rider = flight.riders[0]
+        for k in (5, 20, 40):
+            rider.done = k
+            xy = site.grid.xy_m(sortie.flights[0].cells[k])
+            lon, lat = TO_DEGREES.transform(*xy, direction="FORWARD")
+            rider.link.heard.latitude, rider.link.heard.longitude = lat, lon
+            for used_s in (60.0, 120.0, 170.0):
+                rider.up_s = flight.now() - used_s
+                new = flight.planned(rider)
+                if new is not None:
+                    assert new.air_s <= site.request.usable_s - used_s + 0.5
+                    assert site.space.clear(new.route_m[:, :2])
+                    assert replace(new).airborne
