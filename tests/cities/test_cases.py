@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +108,9 @@ def test_columns_that_may_hold_heights_are_named(tmp_path: Path, column: str) ->
 def test_the_third_coordinate_counts_over_a_terrain() -> None:
     assert any("third coordinate" in note for note in read_city(DATA / "polygonz.geojson").notes)
     assert heights("polygonz.geojson", terrain="200") == [12, 20, 9, 15, 30, 7]
-    assert heights("polygonz.geojson", height_field="z")[0] == 212
+    assert heights("polygonz.geojson", height_field="z", terrain="none")[0] == 212
+    with pytest.raises(InputError, match="above sea level; give `terrain`"):
+        heights("polygonz.geojson", height_field="z")
 
 
 def test_what_is_underground_is_left_out_and_said() -> None:
@@ -244,3 +248,127 @@ def test_the_account_is_plain_data() -> None:
     assert data["crs"] == "EPSG:32633"
     assert data["centre_latlon"] == pytest.approx([48.2009, 16.3722], abs=1e-3)
     assert data["notes"][0].startswith("6 of 6 buildings")
+
+
+BOXES = [shapely.box(600000 + 50 * i, 5339000, 600030 + 50 * i, 5339040) for i in range(6)]
+
+
+def footprints(path: Path, crs: int = 4326, **columns: Any) -> Path:
+    frame = geopandas.GeoDataFrame(columns, geometry=BOXES, crs=32633).to_crs(crs)
+    frame.to_file(path)
+    return path
+
+
+def raster(path: Path, values: np.ndarray, **about: Any) -> Path:
+    units = about.pop("units", None)
+    corner = rasterio.Affine(4, 0, 600000, 0, -4, 5340000)
+    rows, cols = values.shape
+    profile = {"driver": "GTiff", "width": cols, "height": rows, "count": 1, "crs": "EPSG:32633"}
+    with rasterio.open(path, "w", **profile, dtype=values.dtype, transform=corner, **about) as sink:
+        sink.write(values, 1)
+        if units:
+            sink.units = (units,)
+    return path
+
+
+def blocks() -> np.ndarray:
+    values = np.zeros((60, 60), np.float32)
+    for i, height in enumerate(CITY):
+        values[8 + i // 3 * 25 : 18 + i // 3 * 25, 5 + i % 3 * 18 : 15 + i % 3 * 18] = height
+    return values
+
+
+def test_heights_above_the_sea_need_the_ground(tmp_path: Path) -> None:
+    path = footprints(tmp_path / "a.geojson", height=[200 + h for h in CITY])
+    with pytest.raises(InputError, match=r"207 to 230 m high.*give `terrain`"):
+        read_city(path)
+    assert heights(path, terrain="200") == CITY
+    assert heights(path, terrain="none") == [200 + h for h in CITY]
+
+
+def test_heights_in_another_unit_are_refused(tmp_path: Path) -> None:
+    path = footprints(tmp_path / "cm.geojson", height=[100 * h for h in CITY])
+    with pytest.raises(InputError, match=r"4 of 6 buildings.*height_field=height:cm"):
+        read_city(path)
+    assert heights(path, height_field="height:cm") == CITY
+
+
+def test_towers_stay_towers(tmp_path: Path) -> None:
+    towers = [110.0, 150.0, 240.0, 300.0, 120.0, 180.0]
+    assert heights(footprints(tmp_path / "t.gpkg", height=towers)) == towers
+
+
+@pytest.mark.parametrize("name", ["geb_hoehe", "RelHMax", "bldg_height", "HEIGHT_AGL"])
+def test_further_names_of_heights(tmp_path: Path, name: str) -> None:
+    assert heights(footprints(tmp_path / "n.geojson", **{name: CITY})) == CITY
+
+
+def test_folders_of_kml_are_one_heap(tmp_path: Path) -> None:
+    marks = ""
+    for box, height in zip(geopandas.GeoSeries(BOXES, crs=32633).to_crs(4326), CITY, strict=True):
+        ring = " ".join(f"{x},{y}" for x, y in box.exterior.coords)
+        marks += (
+            f"<Folder><name>Block</name><Placemark><ExtendedData><Data name='height'><value>"
+            f"{height}</value></Data></ExtendedData><Polygon><outerBoundaryIs><LinearRing>"
+            f"<coordinates>{ring}</coordinates></LinearRing></outerBoundaryIs></Polygon>"
+            "</Placemark></Folder>"
+        )
+    path = tmp_path / "folders.kml"
+    path.write_text(
+        f"<kml xmlns='http://www.opengis.net/kml/2.2'><Document>{marks}</Document></kml>",
+        encoding="utf-8",
+    )
+    assert heights(path) == CITY
+
+
+def test_ways_without_coordinates_say_what_to_ask_for(tmp_path: Path) -> None:
+    way = {"type": "way", "id": 1, "tags": {"building": "yes"}, "center": {"lat": 48, "lon": 16}}
+    (tmp_path / "o.json").write_text(json.dumps({"osm3s": {}, "elements": [way]}))
+    with pytest.raises(InputError, match="ask the Overpass API for 'out geom'"):
+        read_city(tmp_path / "o.json")
+
+
+def test_compound_systems_of_cityjson(tmp_path: Path) -> None:
+    tile = json.loads((DATA / "tile.city.json").read_text())
+    plane = tile["metadata"]["referenceSystem"]
+    right = read_city(DATA / "tile.city.json").city
+    code = re.search(r"(\d+)$", plane)
+    assert code
+    compound = f"urn:ogc:def:crs,crs:EPSG::{code[1]},crs:EPSG::5773"
+    tile["metadata"]["referenceSystem"] = compound
+    (tmp_path / "c.city.json").write_text(json.dumps(tile))
+    np.testing.assert_array_equal(read_city(tmp_path / "c.city.json").city.height_m, right.height_m)
+
+
+@pytest.mark.parametrize(
+    ("unit", "each"), [("mm", 1e3), ("meters above ground", 1.0), ("Feet", 1 / 0.3048)]
+)
+def test_units_of_a_raster(tmp_path: Path, unit: str, each: float) -> None:
+    values = (blocks() * each).astype(np.float32)
+    city = read_city(raster(tmp_path / "u.tif", values, units=unit)).city
+    np.testing.assert_allclose(np.unique(city.height_m), [0.0, *sorted(CITY)], rtol=1e-5)
+
+
+def test_a_level_street_above_zero_is_the_ground(tmp_path: Path) -> None:
+    reading = read_city(raster(tmp_path / "one.tif", blocks() + 1.0))
+    np.testing.assert_allclose(np.unique(reading.city.height_m), [0.0, *sorted(CITY)])
+    assert reading.notes == ("the lowest level, 1 m, is taken as the ground",)
+
+
+def test_the_noise_of_a_street_is_not_built(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.15, (60, 60)).astype(np.float32)
+    reading = read_city(raster(tmp_path / "noise.tif", blocks() + noise))
+    assert (reading.city.height_m > 0).mean() == pytest.approx((blocks() > 0).mean(), abs=0.002)
+    assert any("cells below 0.5 m" in note for note in reading.notes)
+
+
+def test_a_mask_of_buildings_is_no_height(tmp_path: Path) -> None:
+    path = raster(tmp_path / "mask.tif", (blocks() > 0).astype(np.uint8))
+    with pytest.raises(InputError, match=r"nothing but 0 and 1.*height_field=1:m"):
+        read_city(path)
+    assert read_city(path, height_field="1:m").city.height_m.max() == 1.0
+
+
+def test_undeclared_largest_numbers_are_no_heights(tmp_path: Path) -> None:
+    values = np.where(blocks() == 0, np.float32(3.4028e38), blocks())
+    assert read_city(raster(tmp_path / "max.tif", values)).city.height_m.max() == max(CITY)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -72,6 +75,24 @@ WAYS = {
         lambda i: f'2024-05-01,10:00:{i:02d}.000,{LEVEL[i]},0,"{LAT[i]:.6f} {LON[i]:.6f}"',
         "",
     ),
+    "spaces": ("lat lon   rsrp", lambda i: f"{LAT[i]:.6f}  {LON[i]:.6f} {LEVEL[i]}", ""),
+    "words in the names": (
+        "Time,All-Latitude,All-Longitude,Serving Cell RSRP (dBm),RSRP (LTE detected),cell lat",
+        lambda i: f"10:00:{i:02d},{plain(i)},-99,40",
+        "",
+    ),
+    "letters of their own": (
+        "lat,lat_dir,lon,lon_dir,rsrp",
+        lambda i: f"{LAT[i]:.6f},N,{LON[i]:.6f},E,{LEVEL[i]}",
+        "",
+    ),
+    "steps of 1e-7": (
+        "latitudeE7,longitudeE7,rsrp",
+        lambda i: f"{round(LAT[i] * 1e7)},{round(LON[i] * 1e7)},{LEVEL[i]}",
+        "",
+    ),
+    "milliwatts": ("lat,lon,power_mw", lambda i: plain(i, f"{10 ** (LEVEL[i] / 10):.9e}"), ""),
+    "dBW": ("lat,lon,power [dBW]", lambda i: plain(i, f"{LEVEL[i] - 30:.1f}"), ""),
     "degrees as X and Y": ("X,Y,rsrp", lambda i: f"{LON[i]:.6f},{LAT[i]:.6f},{LEVEL[i]}", ""),
 }
 
@@ -83,6 +104,42 @@ def test_ways_of_writing_the_same(log, way):
     np.testing.assert_allclose(recording.latlon, np.column_stack([LAT, LON]), atol=1.1e-6)
     np.testing.assert_allclose(recording.level_db, LEVEL)
     assert recording.quantity == "power"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "utf-8-sig"])
+def test_encodings_of_spreadsheets(tmp_path, encoding):
+    lines = [
+        f"{comma(a)};{comma(o)};{comma(v, 1)}" for a, o, v in zip(LAT, LON, LEVEL, strict=True)
+    ]
+    text = "Breite;Länge;Pegel\n" + "\n".join(lines)
+    (tmp_path / "log.csv").write_bytes(text.encode(encoding))
+    recording = read_recording(tmp_path / "log.csv")
+    np.testing.assert_allclose(recording.level_db, LEVEL)
+
+
+@pytest.mark.parametrize("name", ["log.json", "log.jsonl"])
+def test_plain_objects(tmp_path, name):
+    rows = [
+        {"gps": {"lat": a, "lon": o}, "rsrp": v} for a, o, v in zip(LAT, LON, LEVEL, strict=True)
+    ]
+    text = json.dumps(rows) if name == "log.json" else "\n".join(map(json.dumps, rows))
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    recording = read_recording(tmp_path / name)
+    np.testing.assert_allclose(recording.latlon, np.column_stack([LAT, LON]))
+    np.testing.assert_allclose(recording.level_db, LEVEL)
+
+
+def test_letters_of_south_and_west_turn_the_sign(log):
+    row = lambda i: f"{LAT[i]:.6f},S,{LON[i]:.6f},W,{LEVEL[i]}"  # noqa: E731
+    recording = read_recording(log("lat,N/S,lon,E/W,rsrp", row))
+    np.testing.assert_allclose(recording.latlon, -np.column_stack([LAT, LON]), atol=1.1e-6)
+
+
+def test_lengths_in_feet_and_kilometres_become_metres(log):
+    path = log("x_ft,y_ft,rsrp", lambda i: f"{i * 10},{i * 20},{LEVEL[i]}")
+    np.testing.assert_allclose(read_recording(path).xy_m[-1], [590 * 0.3048, 1180 * 0.3048])
+    path = log("X [km],Y [km],rsrp", lambda i: f"{i * 0.01},{i * 0.02},{LEVEL[i]}")
+    np.testing.assert_allclose(read_recording(path).xy_m[-1], [590, 1180])
 
 
 @pytest.mark.parametrize("mark", ["-200", "-164", "-340", "100", "2147483647", "-", "Unavailable"])
@@ -100,11 +157,48 @@ def test_marks_are_left_out_and_told(log, mark):
         (lambda i: f"{0.5 + i / 200:.3f}", "a fraction"),
         (lambda i: str(80 + 2 * i), "no receiver survives"),
         (lambda i: f"{-150.5 - i}", "cannot be a"),
+        (lambda i: f"{40 + i // 2}%", "no numbers but '40%'.*per cent"),
     ],
 )
 def test_what_is_no_power_is_refused(log, level, why):
     with pytest.raises(InputError, match=why):
         read_recording(log("lat,lon,rssi", lambda i: plain(i, level(i))))
+
+
+@pytest.mark.parametrize("column", ["level_dbuv", "Field strength (dBµV/m)"])
+def test_a_voltage_is_no_power(log, column):
+    with pytest.raises(InputError, match="dBµV"):
+        read_recording(log(f"lat,lon,{column}", lambda i: plain(i, LEVEL[i] + 107)))
+
+
+@pytest.mark.parametrize(
+    "column", ["Band", "frequency_mhz", "SSB index", "operator", "tx_id", "technology", "gateway"]
+)
+def test_signals_told_apart_by_any_column_are_several_maps(log, column):
+    path = log(
+        f"lat,lon,{column},rssi",
+        lambda i: "\n".join(f"{LAT[i]:.6f},{LON[i]:.6f},{v},{LEVEL[i] - v}" for v in (3, 20)),
+    )
+    with pytest.raises(InputError, match=f"2 values of '{column}'"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "choice"),
+    [
+        ("height_above_takeoff(meters)", (30, 110), "25..35"),
+        ("altitude_ft", (100, 360), "84..116"),
+        ("alt [m] (relative)", ("30 m", "110 m"), "25..35"),
+    ],
+)
+def test_altitudes_by_other_names_and_units(log, column, values, choice):
+    path = log(
+        f"lat,lon,{column},rsrp",
+        lambda i: "\n".join(f"{LAT[i]:.6f},{LON[i]:.6f},{v},{LEVEL[i]}" for v in values),
+    )
+    with pytest.raises(InputError, match=re.escape(choice)):
+        read_recording(path)
+    assert len(read_recording(path, where={column: choice})) == N
 
 
 def test_limits_take_the_place_of_what_can_be(log):

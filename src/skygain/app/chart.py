@@ -17,7 +17,7 @@ from skygain.instruments import grid_for, joined, on_grid, read_recording, read_
 from skygain.instruments.recording import Recording
 from skygain.survey.mapping import RadioMap, next_places, radio_map
 from skygain.survey.requests import RecordingRequest
-from skygain.survey.territory import asked_city, asked_position
+from skygain.survey.territory import asked_position, city_around
 
 if TYPE_CHECKING:
     from skygain.grid import Grid
@@ -84,11 +84,11 @@ def chart(request: MapRequest, progress: Progress | None = None) -> list[RadioMa
         InputError: anything about the request or the logs that the user can put right.
     """
     series, notes = _series(request)
+    first = joined([_placed_only(r) for r in series.values()])
     city = None
     if request.city is not None:
-        reading = asked_city(request)
+        reading = city_around(request, first)
         city, notes = reading.city, [*notes, *reading.notes]
-    first = joined([_placed_only(r) for r in series.values()])
     grid = city.grid if city else _grid(first, request)
     area = None
     if request.area is not None:

@@ -18,8 +18,6 @@ from skygain.app.progress import SILENT, Progress
 from skygain.app.requests import LATEST, SurveyRequest
 from skygain.app.signals import told_of_signals
 from skygain.evaluation.rollout import Recorder
-from skygain.flight.starts import start_cells
-from skygain.flight.swarm import Swarm
 from skygain.ground.compiling import on_compiling
 from skygain.ground.declared import part
 from skygain.ground.errors import InputError
@@ -30,13 +28,14 @@ from skygain.instruments.base import Instrument
 from skygain.reports.flown import Flown
 from skygain.reports.folder import FILES
 from skygain.scenario import Scenario
+from skygain.survey.deployment import deployed, speed_mps
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.memory import demand_memory, in_words
 from skygain.survey.methods import MethodSpec
 from skygain.survey.origins import method_files
 from skygain.survey.requests import RecordingRequest
 from skygain.survey.tape import FlightTape
-from skygain.survey.territory import asked_city, asked_position, at_sea_level, bounded
+from skygain.survey.territory import asked_position, at_sea_level, bounded, city_around
 from skygain.survey.worlds import open_world
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
                 outcome = fly(request, progress, journal)
                 early = outcome.result.stopped == "interrupted"
                 progress.phase("writing what was measured so far" if early else "writing")
-                notes = outcome.write(out)
+                notes = [*_met(request, outcome), *outcome.write(out)]
             except InputError as error:
                 if journal.records:
                     raise InputError(f"{error}; the flight is kept, go on with: {go_on}") from error
@@ -96,6 +95,20 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
         else:
             (out / JOURNAL).unlink()
     return "\n".join([outcome.summary, *notes, f"report: {out / 'report.html'}"])
+
+
+def _met(request: SurveyRequest, outcome: Flown) -> list[str]:
+    """How much of a recording the flight used, where most of it was left."""
+    if request.replay is None or outcome.truth_db is None:
+        return []
+    met = len(np.unique(outcome.result.measurements.cell, axis=0))
+    recorded = int(np.isfinite(outcome.truth_db).sum())
+    if 2 * met >= recorded:
+        return []
+    return [
+        f"the flight met {met} of {recorded} recorded cells; a map of all of them: skygain map "
+        f"{request.replay}"
+    ]
 
 
 def _check_folder(request: SurveyRequest) -> None:
@@ -164,32 +177,33 @@ def fly(
         else _simulated(request, setting_seed, progress)
     )
     whole, told_of_areas = bounded(setting.scenario, request)
-    notes = (*setting.notes, *told_of_areas)
+    scenario = method.visible(whole, predictor)
+    rng = np.random.default_rng(start_seed)
+    swarm, told_of_flight = deployed(request, scenario, rng, setting.recorded)
+    steps = int(swarm.steps_left.max())
+    notes = (*setting.notes, *told_of_areas, *told_of_flight)
     if setting.source and (notes or setting.source["crs"]):
         progress.note(f"{setting.source['name']}: {setting.source['place']}")
     for line in notes:
         progress.note(f"  {line}")
-    scenario = method.visible(whole, predictor)
     _need_transmitter(scenario, predictor, method)
     unlike = predictor.outside_training(scenario, uavs=request.uavs, quantity=setting.quantity)
     if unlike:
         progress.note(unlike)
         notes = (*notes, unlike)
-    cells = start_cells(request.start, scenario, request.uavs, np.random.default_rng(start_seed))
-    swarm = Swarm.deployed(scenario, cells, request.steps, request.rules)
 
     def told(step: int, scores: dict[str, float]) -> None:
         known = np.isfinite(scores.get("rmse_db", np.nan))
-        progress(step, request.steps, f"RMSE {scores['rmse_db']:.1f} dB" if known else "")
+        progress(step, steps, f"RMSE {scores['rmse_db']:.1f} dB" if known else "")
 
     def compiling(now: bool) -> None:
         progress.phase("compiling a kernel, once" if now else "flying")
 
-    record = frozenset(range(0, request.steps + 1, request.record_every))
+    record = frozenset(range(0, steps + 1, request.record_every))
     recorder = Recorder(record, setting.truth_db, setting.ray_traced, keep_maps=True, on_step=told)
-    config = SurveyConfig(stop_std_db=request.stop_std_db)
+    config = SurveyConfig(stop_std_db=request.stop_std_db, step_duration_s=_step_s(request, whole))
     survey = Survey(scenario, predictor, planner, setting.instrument, config)
-    needed = demand_memory(predictor, scenario, request.uavs * (request.steps + 1))
+    needed = demand_memory(predictor, scenario, request.uavs * (steps + 1))
     if needed > WORTH_TELLING:
         progress.note(f"memory: up to {in_words(needed)}")
     rng = np.random.default_rng(planner_seed)
@@ -210,6 +224,13 @@ def fly(
         notes=notes,
         source=setting.source,
     )
+
+
+def _step_s(request: SurveyRequest, scenario: Scenario) -> float:
+    """Seconds that a move takes; a second where neither speed nor battery is given."""
+    if request.speed_mps is None and request.battery_min is None:
+        return 1.0
+    return scenario.grid.spacing_m / speed_mps(request)
 
 
 def _method(request: SurveyRequest) -> MethodSpec:
@@ -233,6 +254,7 @@ class _Setting:
     notes: tuple[str, ...] = ()
     source: dict[str, Any] | None = None
     generators: tuple[np.random.Generator, ...] = ()
+    recorded: NDArray[np.bool_] | None = None
 
 
 def _simulated(
@@ -269,7 +291,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     recording = read_recording(str(request.replay), **options)
     if request.city is not None:
         progress.phase("reading the city")
-    reading = None if request.city is None else asked_city(request)
+    reading = None if request.city is None else city_around(request, recording)
     city = reading.city if reading else None
     grid = city.grid if city else grid_for(recording, request.spacing_m, request.box)
     gridded = on_grid(recording, grid)
@@ -308,6 +330,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
         gridded.quantity,
         notes,
         reading.as_data() if reading else None,
+        recorded=gridded.recorded,
     )
 
 

@@ -45,6 +45,7 @@ from skygain.missions.requests import (
 )
 from skygain.survey.requests import (
     CityRequest,
+    EnduranceRequest,
     FlightRequest,
     MethodRequest,
     PlaceRequest,
@@ -86,7 +87,13 @@ class OutputRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyRequest(
-    PlaceRequest, TerritoryRequest, FlightRequest, MethodRequest, ReplayRequest, OutputRequest
+    PlaceRequest,
+    TerritoryRequest,
+    FlightRequest,
+    EnduranceRequest,
+    MethodRequest,
+    ReplayRequest,
+    OutputRequest,
 ):
     """Fly one survey and write maps, tables, pictures and a report.
 

@@ -100,8 +100,8 @@ def _documents(text: str) -> list[dict[str, Any]]:
 def _named_crs(reference: Any) -> str | None:
     if not isinstance(reference, str) or not reference.strip():
         return None
-    code = re.search(r"EPSG(?:/[^/]*/|:[^:]*:|::?)(\d+)\s*$", reference)
-    return f"EPSG:{code[1]}" if code else reference
+    codes = re.findall(r"EPSG(?:/[^/]*/|:[^:]*:|::?)(\d+)", reference)
+    return f"EPSG:{'+'.join(codes[:2])}" if codes else reference
 
 
 def _prism(models: list[dict[str, Any]], vertices: NDArray[np.float64]) -> tuple[Any, float]:

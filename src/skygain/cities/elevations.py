@@ -35,8 +35,11 @@ UNITS_M = {
     "foot": 0.3048,
     "feet": 0.3048,
     "us survey foot": 1200 / 3937,
+    "us-ft": 1200 / 3937,
+    "us_ft": 1200 / 3937,
     "cm": 0.01,
     "dm": 0.1,
+    "mm": 0.001,
 }
 """metres in the units that heights come in"""
 
@@ -110,13 +113,16 @@ def heights_above_ground(
     remarks: tuple[str, ...] = ()
     lows = _block_lows(np.where(known, values, 0.0), spacing_m)
     sunk = float(np.median(lows))
-    if not trusted and sunk < -_SUNK_M and np.ptp(np.quantile(lows, [0.05, 0.95])) <= _EVEN_M:
+    even = np.ptp(np.quantile(lows, [0.05, 0.95])) <= _EVEN_M
+    if not trusted and even and (sunk < -_SUNK_M or _NOISE_M < sunk <= _STREET_M):
         ground, remarks = sunk, (f"the lowest level, {sunk:g} m, is taken as the ground",)
         values, low, high = values - sunk, low - sunk, high - sunk
     elif not trusted:
         _check_no_terrain(lows, low, high, known)
     _check_range(low, high)
-    height, counts = _roofs(values, known)
+    flat = known & (values > 0) & (values < _NOISE_M)
+    height, counts = _roofs(np.where(flat, 0.0, values), known)
+    counts[f"cells below {_NOISE_M:g} m, taken as open ground"] = int(flat.sum())
     counts["cells without data, taken as open ground"] -= marked
     counts["cells with a mark for no data, taken as open ground"] = marked
     return Heights(height, np.array(ground, np.float32), _occurred(counts), remarks)
@@ -166,7 +172,7 @@ def heights_over_terrain(
 
 def _without_marks(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     """Undeclared marks for no data (exactly one of the usual numbers) as NaN, and how many."""
-    marked = np.isin(values, _MARKS) | (values < -1e30)
+    marked = np.isin(values, _MARKS) | (np.abs(values) > 1e30) & ~np.isinf(values)
     return (np.where(marked, np.nan, values), int(marked.sum())) if marked.any() else (values, 0)
 
 

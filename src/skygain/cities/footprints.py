@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.cities.layers import Z
-from skygain.cities.prisms import by_third_coordinate, prisms, rasterised, with_parts
+from skygain.cities.prisms import above_ground, by_third_coordinate, prisms, rasterised, with_parts
 from skygain.cities.reading import (
     CityOptions,
     Reading,
@@ -158,6 +158,7 @@ def _read(path: Path, options: CityOptions) -> Reading:
             f"the ground lies {city.ground_m.min():.4g} to {city.ground_m.max():.4g} m high"
         )
     tags = by_third_coordinate(polygons, tags, city, options, counts, remarks)
+    tags = above_ground(polygons, tags, city, options.terrain, counts)
     default = DEFAULT_HEIGHT_M if options.default_height_m is None else options.default_height_m
     missing = sum(tag.height_m is None for tag in tags)
     buildings = prisms(polygons, tags, default, counts)
@@ -168,7 +169,7 @@ def _read(path: Path, options: CityOptions) -> Reading:
     if 2 * missing > len(tags) and named and field is None:
         remarks.append(
             f"heights may stand in {', '.join(named[:5])}: give `height_field` with the unit, e.g. "
-            f"{named[0]}:ft"
+            f"{named[0]}:m or {named[0]}:ft"
         )
     if not city.height_m.any():
         remarks.append(

@@ -34,6 +34,8 @@ def osm_xml(path: Path) -> bytes:
     try:
         elements = json.loads(path.read_text(encoding="utf-8"))["elements"]
         return _written(_Elements(elements))
+    except InputError:
+        raise
     except (
         AttributeError,
         IndexError,
@@ -76,6 +78,8 @@ class _Elements:
                         refs = [self._placed(p) for p in member["geometry"] if p]
                         self.ways.setdefault(int(member["ref"]), (refs, {}))
                 self.relations[int(e["id"])] = members, e.get("tags", {})
+        if self.ways and not any(refs for refs, _ in self.ways.values()):
+            raise InputError("the ways have no coordinates; ask the Overpass API for 'out geom'")
 
     def _placed(self, point: dict[str, Any]) -> int:
         """The number of the node at a point; a new one where there is none yet."""

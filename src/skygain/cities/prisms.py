@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["by_third_coordinate", "prisms", "rasterised", "with_parts"]
+__all__ = ["above_ground", "by_third_coordinate", "prisms", "rasterised", "with_parts"]
 
 from collections import Counter
 from collections.abc import Sequence
@@ -16,8 +16,10 @@ from skygain.cities.reading import CityOptions
 from skygain.cities.tags import BuildingTags
 from skygain.city import Building, City
 from skygain.grid import Grid
-from skygain.ground.errors import require
+from skygain.ground.errors import InputError, require
 
+_TALL_M, _SEVERAL = 100.0, 4
+"""so many buildings that are all higher than this are heights above the sea"""
 _COVERED = 0.9
 """share of an outline that parts must cover to replace it entirely"""
 
@@ -93,6 +95,45 @@ def by_third_coordinate(
             above = tag.z_m - city.ground_at(polygon.centroid.x, polygon.centroid.y)
             counts["heights from the third coordinate minus the terrain"] += above > 0
             tag = replace(tag, height_m=above if 0 < above <= 1000 else None)
+        found.append(tag)
+    return found
+
+
+def above_ground(
+    polygons: NDArray[np.object_],
+    tags: list[BuildingTags],
+    city: City,
+    terrain: str | None,
+    counts: Counter[str],
+) -> list[BuildingTags]:
+    """Heights less the ground beneath, where they can only be those of roofs above the sea.
+
+    Raises:
+        InputError: they are, and no terrain is given; or they are in another unit than metres.
+    """
+    given = np.array([t.height_m for t in tags if t.height_m is not None and not t.from_levels])
+    beyond = sum(t.is_beyond for t in tags)
+    if beyond > 1 and beyond >= len(given):
+        raise InputError(
+            f"{beyond} of {len(tags)} buildings are given as higher than 1000 m; name the column "
+            "with its unit, e.g. `height_field=height:cm`, or subtract the ground's height first"
+        )
+    if terrain == "none" or len(given) < _SEVERAL or given.min() < _TALL_M:
+        return tags
+    if np.ptp(given) > given.min():  # towers differ by more
+        return tags
+    if terrain is None:
+        raise InputError(
+            f"every building is {given.min():g} to {given.max():g} m high, so these seem to be "
+            "heights above sea level; give `terrain` (a file of the ground's height, or its height "
+            "in metres where it is level), or 'none' if they are above ground"
+        )
+    found = []
+    for polygon, tag in zip(polygons, tags, strict=True):
+        if tag.height_m is not None and not tag.from_levels:
+            above = tag.height_m - city.ground_at(polygon.centroid.x, polygon.centroid.y)
+            counts["heights above sea level, minus the terrain"] += above > 0
+            tag = replace(tag, height_m=above if above > 0 else None)
         found.append(tag)
     return found
 

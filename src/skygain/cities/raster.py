@@ -78,6 +78,8 @@ def read_raster(path: str | Path, options: CityOptions | None = None, **given: A
         band, unit_m, said = _band(source, options.height_field)
         grid, own, target = _frame(source, options)
         values = _sampled(source, grid, own, target, band) * unit_m
+        if options.height_field is None and source.dtypes[band - 1].startswith(("uint", "int")):
+            _check_no_mask(values)
         below = _own_terrain(source, band, options.terrain)
         ground = None
         if below is not None:
@@ -255,12 +257,27 @@ def _band(source: Any, height_field: str | None) -> tuple[int, float, tuple[str,
                     "give `height_field` 1:ft",
                 )
     unit = (unit or "metre").strip().lower()
+    if unit not in UNITS_M:  # "meters above ground"
+        unit = next((u for u in (unit.partition(" ")[0], unit[:-1]) if u in UNITS_M), unit)
+        unit = unit.removesuffix("s") if unit.removesuffix("s") in UNITS_M else unit
+    if unit.startswith(("metres ", "meters ")):
+        unit = "m"
     if unit not in UNITS_M:
         raise InputError(
             f"heights are in {unit!r}, expected one of {', '.join(UNITS_M)}; convert the raster "
             "to metres, or give `height_field` with the right unit, e.g. 1:ft"
         )
     return band, UNITS_M[unit], said
+
+
+def _check_no_mask(values: NDArray[np.float64]) -> None:
+    """Raise where whole numbers only tell buildings from the rest."""
+    found = np.unique(values[np.isfinite(values)])
+    if len(found) == 2 and tuple(found) in ((0.0, 1.0), (0.0, 255.0)):
+        raise InputError(
+            f"the cells hold nothing but 0 and {found[1]:g}, so this is a mask of buildings and "
+            "no heights; give a raster of heights, or `height_field=1:m` if these are metres"
+        )
 
 
 def _own_terrain(source: Any, band: int, terrain: str | None) -> int | None:

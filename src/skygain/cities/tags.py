@@ -48,6 +48,11 @@ _HEIGHT = (
     "hhe",  # Höhe
     "renderheight",
     "estheight",
+    "heightagl",
+    "bldgheight",
+    "gebhoehe",
+    "gebaeudehoehe",
+    "relhmax",
 )
 _HEIGHT_FT = ("heightft", "heightfeet", "buildingheightft", "buildingheightfeet", "roofheightft")
 _LEVELS = (
@@ -131,7 +136,8 @@ _FEET_INCHES = re.compile(
 _SEVERAL = re.compile(r"\s*[;|]\s*|\s*[-\u2013]\s*(?=[\d.])|\s+to\s+")
 _HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"')
 _HEIGHT_LIKE = re.compile(
-    r"height|hgt|hght|hoehe|h\u00f6he|haut|altura|altezza|hoogte|roof|etage|floor|storey|stories|level"
+    r"height|hgt|hght|hoehe|h\u00f6he|haut|altura|altezza|hoogte|roof|etage|floor|storey|stories|"
+    r"level|relh|z_?max|dach|toit|tetto|h\u00f8yde|h\u00f8jde|h\u00f6jd|wysok|v\u00fd\u0161ka|korkeus|elev"
 )
 
 
@@ -172,6 +178,8 @@ class BuildingTags:
     material: str = "concrete"
     """what its walls are of, by the classes of ITU-R P.2040: ``building:material``, concrete where
     it is missing or has no class"""
+    is_beyond: bool = False
+    """whether a height is given that no building has, as in another unit"""
     z_m: float | None = None
     """third coordinate of its highest corner, which may be above the ground or above the sea"""
 
@@ -302,6 +310,10 @@ def read_tags(attributes: Mapping[str, Any], field: HeightField | None = None) -
         from_levels=from_levels,
         misread=misread or misread_levels or misread_base or misread_base_level,
         material=_MATERIALS.get(_text(attributes, _MATERIAL), "concrete"),
+        is_beyond=any(
+            _number(attributes.get(name)) > _MAX_LENGTH_M
+            for name in (*_HEIGHT, *((field.name,) if field and field.unit_m == 1.0 else ()))
+        ),
         z_m=attributes.get("@z"),
     )
 

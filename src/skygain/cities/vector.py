@@ -10,6 +10,7 @@ from __future__ import annotations
 __all__ = ["SUFFIXES", "Layer", "VectorLayer", "is_vector", "open_layer"]
 
 import json
+import re
 import warnings
 import zipfile
 import zlib
@@ -51,6 +52,9 @@ SUFFIXES = (
 """endings of files that are read; a ``.zip`` holds a Shapefile"""
 
 _SEQUENCES = (".geojsonl", ".geojsons", ".ndjson", ".jsonl")
+
+_FOLDER = re.compile(rb"</?(?:\w+:)?Folder\b[^>]*>")
+"""a folder of KML is a layer to GDAL; to a person it is a heap of one thing"""
 
 _MOST_KML = 500_000_000
 """bytes of a document inside a KMZ"""
@@ -192,8 +196,11 @@ def open_layer(
         raise InputError(
             "CityGML is not read; convert it to CityJSON (citygml-tools to-cityjson) and give that"
         )
-    if suffix == ".kmz":
-        return _gdal_layer(_zipped_kml(path), False, layer, crs)
+    if suffix in (".kml", ".kmz"):
+        document = _zipped_kml(path) if suffix == ".kmz" else path.read_bytes()
+        if layer is None:
+            document = _FOLDER.sub(b"", document)
+        return _gdal_layer(document, False, layer, crs)
     if suffix in _SEQUENCES:
         content, left_out = _sound_lines(path, skip_bad)
         return _gdal_layer(content, False, layer, crs, left_out=left_out)

@@ -15,6 +15,7 @@ __all__ = [
     "find_columns",
     "headings",
     "level_quantity",
+    "metres_each",
     "named_column",
     "normalised",
     "series_columns",
@@ -36,6 +37,7 @@ LEVEL_NAMES: dict[str, str] = {
         ("level", "rx_level", "signal", "signal_level", "signal_strength", "strength"), "power"
     ),
     **dict.fromkeys(("power", "rx_power", "received_power", "rss", "1rss", "dbm"), "power"),
+    **dict.fromkeys(("field_strength", "feldstarke", "asu", "champ"), "power"),
     **dict.fromkeys(("pegel", "empfangspegel", "niveau", "nivel", "livello", "уровень"), "power"),
     **dict.fromkeys(("gain", "channel_gain", "path_gain", "pathgain"), "gain"),
     **dict.fromkeys(("path_loss", "pathloss", "loss", "attenuation"), "loss"),
@@ -49,6 +51,7 @@ GUESSES: dict[str, tuple[str, ...]] = {
         "gps_lat",
         "gps_latitude",
         "currentlatitude",
+        "latitudee7",
         "lat_deg",
         "breite",
         "breitengrad",
@@ -66,6 +69,7 @@ GUESSES: dict[str, tuple[str, ...]] = {
         "gps_long",
         "gps_longitude",
         "currentlongitude",
+        "longitudee7",
         "lange",
         "langengrad",
         "laenge",
@@ -73,8 +77,14 @@ GUESSES: dict[str, tuple[str, ...]] = {
         "longitudine",
         "долгота",
     ),
-    "x": ("x", "easting", "east", "utm_x", "utm_e", "x_utm"),
-    "y": ("y", "northing", "north", "utm_y", "utm_n", "y_utm"),
+    "x": (
+        *("x", "easting", "east", "e", "utm_x", "utm_e", "x_utm", "coord_x", "x_coord"),
+        *("x_coordinate", "pos_x", "x_pos", "rx_x", "rechtswert", "ostwert", "este"),
+    ),
+    "y": (
+        *("y", "northing", "north", "n", "utm_y", "utm_n", "y_utm", "coord_y", "y_coord"),
+        *("y_coordinate", "pos_y", "y_pos", "rx_y", "hochwert", "nordwert", "norte"),
+    ),
     "position": (
         "gps",
         "gps_position",
@@ -92,6 +102,15 @@ GUESSES: dict[str, tuple[str, ...]] = {
     "noise": ("noise_std",),
     "time": ("time", "timestamp", "datetime", "t", "zeit", "firstseen", "время", "heure", "hora"),
     "censored": ("censored",),
+    "north_south": (
+        *("ns", "n_s", "lat_ns", "lat_dir", "lat_ref", "lat_hemisphere", "latitude_dir"),
+        *("latitude_ref", "latitude_direction", "latitude_hemisphere", "ns_indicator"),
+    ),
+    "east_west": (
+        *("ew", "e_w", "lon_ew", "lon_dir", "lon_ref", "lon_hemisphere", "longitude_dir"),
+        *("longitude_ref", "longitude_direction", "longitude_hemisphere", "ew_indicator"),
+        *("lng_dir", "lng_ref", "long_dir", "long_ref"),
+    ),
     "altitude": (
         "alt",
         "altitude",
@@ -144,7 +163,31 @@ _SERIES += (
     "nr_arfcn",
     "uarfcn",
 )
-_UNIT = re.compile(r"_(dbm|db|m|metres|meters|deg|degrees|s|sec|seconds|ms|дбм|дб|м)$")
+_SIGNALS = ("band", "lte_band", "nr_band", "frequency", "freq", "center_frequency", "channel")
+_SIGNALS += ("ssb", "ssb_index", "ssb_id", "beam", "beam_id", "beam_index", "sector", "sector_id")
+_SIGNALS += ("operator", "network", "plmn", "mnc", "mccmnc", "technology", "tech", "rat")
+_SIGNALS += ("network_type", "tx", "tx_id", "txid", "transmitter", "transmitter_id", "site")
+_SIGNALS += ("site_id", "base_station", "bs_id", "enb", "enodeb", "enb_id", "enodeb_id", "gnb_id")
+_SIGNALS += ("gateway", "gateway_id", "ap", "ap_name", "anchor", "anchor_id", "beacon")
+_UNIT = re.compile(
+    r"_(dbm|db|dbw|mw|nw|dbuv|dbuv_m|dbμv|dbμv_m|m|metres|meters|ft|feet|km|deg|degrees|s|sec|"
+    r"seconds|ms|hz|khz|mhz|ghz|дбм|дб|м)$"
+)
+_WORDS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
+    "latitude": (frozenset(("lat", "latitude", "breitengrad")), frozenset()),
+    "longitude": (frozenset(("lon", "lng", "long", "longitude", "langengrad")), frozenset()),
+    "level": (
+        frozenset(("rsrp", "rssi", "rscp", "rxlev", "rss")),
+        frozenset(("rsrq", "detected", "neighbour", "neighbor", "nbr", "ncell", "std", "count")),
+    ),
+    "altitude": (
+        frozenset(("alt", "altitude", "height", "agl", "hohe")),
+        frozenset(("accuracy", "error", "std", "building", "geoid", "antenna")),
+    ),
+}
+"""a name with such a word has the role where no usual name does, unless another word forbids it"""
+_OTHERS = frozenset(("tx", "bs", "site", "enb", "gnb", "cell", "station", "tower", "start", "home"))
+"""words of what stands elsewhere than the receiver"""
 
 
 def normalised(name: str) -> str:
@@ -166,9 +209,26 @@ def _fits(role: str, name: str) -> bool:
     return any(form in GUESSES[role] for form in _plain(name))
 
 
+def _fits_loosely(role: str, name: str) -> bool:
+    words, forbidden = _WORDS.get(role, (frozenset(), frozenset()))
+    said = set(normalised(name).split("_"))
+    others = frozenset() if role == "level" else _OTHERS
+    return bool(said & words) and not said & (forbidden | others)
+
+
+def metres_each(name: str) -> float:
+    """Metres in the unit that ends a length's column name; 1 where none does.
+
+    >>> metres_each("altitude_ft"), metres_each("X [km]"), metres_each("height(meters)")
+    (0.3048, 1000.0, 1.0)
+    """
+    last = normalised(name).rpartition("_")[2]
+    return {"ft": 0.3048, "feet": 0.3048, "km": 1000.0}.get(last, 1.0)
+
+
 def headings(fields: Sequence[str]) -> bool:
     """Whether a line's fields look like the names of a log's columns: a position and more."""
-    has = {role: any(_fits(role, f) for f in fields) for role in ROLES}
+    has = {role: bool(_guessed(fields, role)) for role in ROLES}
     pair = (has["latitude"] and has["longitude"]) or (has["x"] and has["y"]) or has["position"]
     return pair and len(fields) >= 2
 
@@ -196,9 +256,11 @@ def series_columns(header: Sequence[str], level: str) -> list[int]:
     """
     found = []
     for i, name in enumerate(header):
-        plain, _ = _plain(name)
+        plain, without_unit = _plain(name)
         beside = any(w in plain and w not in normalised(level) for w in ("detected", "neighb"))
-        named = plain in _SERIES or plain.startswith(("physical_cell_id", "pci_", "cell_id_"))
+        named = bool({plain, without_unit} & {*_SERIES, *_SIGNALS}) or plain.startswith(
+            ("physical_cell_id", "pci_", "cell_id_")
+        )
         if named and not beside:
             found.append(i)
     return found
@@ -218,7 +280,11 @@ def column_for(header: Sequence[str], name: str, what: str) -> int:
         if plain in GUESSES:
             found = _guessed(header, plain)
         elif plain in _SERIES:
-            cells = [i for i in series_columns(header, "") if "arfcn" not in normalised(header[i])]
+            cells = [
+                i
+                for i in series_columns(header, "")
+                if "arfcn" not in normalised(header[i]) and normalised(header[i]) not in _SIGNALS
+            ]
             found = [i for i in cells if normalised(header[i]).startswith(plain[:2])] or cells
         else:
             found = []
@@ -250,12 +316,14 @@ def named_column(header: Sequence[str], name: str, what: str) -> int:
 
 
 def _guessed(header: Sequence[str], role: str) -> list[int]:
-    return [i for i, name in enumerate(header) if _fits(role, name)]
+    found = [i for i, name in enumerate(header) if _fits(role, name)]
+    return found or [i for i, name in enumerate(header) if _fits_loosely(role, name)]
 
 
 def _required(header: Sequence[str], role: str) -> int:
     found = _guessed(header, role)
     if len(found) > 1:
+        named_column(header, header[found[0]], role)
         options = ", ".join(repr(header[i]) for i in found)
         raise InputError(
             f"columns {options} could each be the {role}; name the one to use with "
@@ -311,7 +379,7 @@ def find_columns(
         if role not in found:
             found[role] = _required(header, role)
     open_roles = []
-    for role in ("noise", "time", "censored", "altitude"):
+    for role in ("noise", "time", "censored", "altitude", "north_south", "east_west"):
         guess = [i for i in _guessed(header, role) if i not in found.values()]
         if role not in found and len(guess) == 1:
             found[role] = guess[0]

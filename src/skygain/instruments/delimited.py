@@ -26,6 +26,7 @@ from skygain.instruments.values import number
 
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _DELIMITERS = ",;\t|"
+_SPACES = re.compile(r"(?<=\S)[ \t]+(?=\S)")
 _HEAD_LINES = 60
 """the line of column names is among the first so many"""
 _UNIT = re.compile(
@@ -45,8 +46,17 @@ def open_delimited(path: Path, head: bytes) -> Table:
         InputError: it is no text, or its columns have no names.
     """
     _need_text(path.name, head)
-    layout = _Layout(path)
+    layout = _Layout(path, head)
     return Table(path.name, tuple(layout.header), layout.load, notes=tuple(layout.notes))
+
+
+def _is_utf8(head: bytes) -> bool:
+    """Whether the first bytes of a file are UTF-8, but for a character that they may cut."""
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return error.start > len(head) - 4 and len(head) >= 65536
+    return True
 
 
 def _need_text(name: str, head: bytes) -> None:
@@ -54,9 +64,7 @@ def _need_text(name: str, head: bytes) -> None:
         raise InputError(
             f"{name} is empty; expected a line of column names and one line per reading"
         )
-    if head.startswith(_UTF16_MARKS):
-        raise InputError(f"{name} is UTF-16 text; save it as CSV in UTF-8")
-    if b"\0" in head:
+    if b"\0" in head and not head.startswith(_UTF16_MARKS):
         raise InputError(
             f"{name} is not text (a spreadsheet or an archive?); export the sheet as CSV in UTF-8"
         )
@@ -65,9 +73,21 @@ def _need_text(name: str, head: bytes) -> None:
 class _Layout:
     """Where the header stands, how fields are split, and where the readings begin."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, head: bytes) -> None:
         self.path, self.notes = path, []  # type: ignore[var-annotated]
+        self.encoding, self.spaced = "utf-8-sig", False
+        if head.startswith(_UTF16_MARKS):
+            self.encoding = "utf-16"
+            self.notes.append("the text is UTF-16")
+        elif not _is_utf8(head):
+            self.encoding = "cp1252"
+            self.notes.append("the text is no UTF-8 and is read as Windows-1252")
         lines = self._first_lines()
+        self.spaced = not any(d in line for line in lines for d in _DELIMITERS) and any(
+            headings(line.split()) for line in lines
+        )
+        if self.spaced:
+            lines = [_SPACES.sub("\t", line) for line in lines]
         self.header_line, self.delimiter = self._header_of(lines)
         self.header = [t.strip() for t in self._split(lines[self.header_line])]
         if len(self.header) < 2:
@@ -87,7 +107,11 @@ class _Layout:
         self.skip_after = self._units_below(lines)
 
     def _text(self) -> Any:
-        return self.path.open(encoding="utf-8-sig", newline=None)
+        file = self.path.open(encoding=self.encoding, newline=None)
+        if not self.spaced:
+            return file
+        with file:
+            return io.StringIO("".join(_SPACES.sub("\t", line) for line in file))
 
     def _first_lines(self) -> list[str]:
         try:

@@ -8,7 +8,7 @@ strong reading would decide it.
 
 from __future__ import annotations
 
-__all__ = ["GriddedRecording", "grid_for", "on_grid"]
+__all__ = ["GriddedRecording", "bounds_of_both", "grid_for", "on_grid"]
 
 from dataclasses import dataclass
 
@@ -220,6 +220,34 @@ def grid_for(
         (west - spacing_m, south - spacing_m, east + spacing_m, north + spacing_m),
         spacing_m,
         target,
+    )
+
+
+def bounds_of_both(recording: Recording, grid: Grid) -> Bounds | None:
+    """Bounds in metres of a map that holds a grid and a recording, where no reading lies on the
+    grid and all lie within its longer side of it; ``None`` elsewhere.
+
+    Raises:
+        InputError: one of them has no place on Earth.
+    """
+    xy_m = _metres(recording, grid.crs)
+    west, south, east, north = grid.bounds_m
+    low, high = xy_m.min(axis=0), xy_m.max(axis=0)
+    side, step = max(east - west, north - south), grid.spacing_m
+    near = np.isfinite(xy_m).all() and (low >= (west - side, south - side)).all()
+    if (
+        not near
+        or not (high <= (east + side, north + side)).all()
+        or _cells_of(xy_m, grid)[1].any()
+    ):
+        return None
+    over = np.ceil(np.maximum((west, south) - low, 0.0) / step) + 1.0
+    beyond = np.ceil(np.maximum(high - (east, north), 0.0) / step) + 1.0
+    return (
+        float(west - over[0] * step),
+        float(south - over[1] * step),
+        float(east + beyond[0] * step),
+        float(north + beyond[1] * step),
     )
 
 

@@ -6,7 +6,7 @@ becomes a hole or a peak of the map, so every level is held against what its qua
 
 from __future__ import annotations
 
-__all__ = ["MAX_LEVEL_DB", "check_levels", "limits"]
+__all__ = ["MAX_LEVEL_DB", "check_levels", "in_dbm", "limits"]
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ MAX_LEVEL_DB = 300.0
 """a level beyond this in size is a logger's mark for "no value" (such as 2147483647), not a
 reading"""
 
+_MILLIWATTS = {"mw": 1.0, "uw": 1e-3, "nw": 1e-6, "pw": 1e-9, "watt": 1e3, "watts": 1e3}
 _LIMITS = {"power": (-160.0, 30.0), "gain": (-MAX_LEVEL_DB, 30.0), "loss": (-30.0, MAX_LEVEL_DB)}
 _RSRP = (-156.0, -30.0)
 _GAP_DB = 20.0
@@ -34,6 +35,30 @@ def limits(kind: str, column: str) -> tuple[float, float]:
         column: its name; an RSRP is narrower than any power.
     """
     return _RSRP if kind == "power" and "rsrp" in normalised(column) else _LIMITS[kind]
+
+
+def in_dbm(level: NDArray[np.float64], column: str, name: str) -> tuple[NDArray, list[str]]:
+    """Levels whose column says that they are in another unit of power, in dBm, and what to tell;
+    NaN where there is none.
+
+    Raises:
+        InputError: the unit is that of a voltage or a field, which is no power without the antenna.
+    """
+    unit = normalised(column).replace("μ", "u").removesuffix("_m")
+    if unit.endswith(("dbuv", "db_uv")):
+        raise InputError(
+            f"{name}: column {column!r} is in dBµV or dBµV/m, a voltage or a field; convert it to "
+            "dBm (of a voltage at 50 Ω, subtract 107), or name another column with "
+            "`columns=level=NAME`"
+        )
+    last = unit.rpartition("_")[2]
+    if last == "dbw":
+        return level + 30.0, [f"column {column!r} is in dBW: dBm = dBW + 30"]
+    if last in _MILLIWATTS:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = 10.0 * np.log10(level * _MILLIWATTS[last])
+        return np.where(level > 0, values, np.nan), [f"column {column!r} is converted to dBm"]
+    return level, []
 
 
 def check_levels(

@@ -1,5 +1,5 @@
-"""Readings that stand as points in a GIS or track file: GeoPackage, GeoJSON, Shapefile, FlatGeobuf,
-KML, KMZ and GPX.
+"""Readings that stand as points in a GIS or track file (GeoPackage, GeoJSON, Shapefile, FlatGeobuf,
+KML, KMZ and GPX), or as plain JSON objects.
 
 Every point becomes a row: its attributes, and its latitude, longitude and altitude.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = ["POINT_SUFFIXES", "open_points"]
 
+import json
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from skygain.ground.errors import InputError, require
 from skygain.instruments.tables import Columns, Table, quoted_list
 
-_VECTOR = (".gpkg", ".geojson", ".json", ".geojsonl", ".shp", ".fgb")
+_VECTOR = (".gpkg", ".geojson", ".json", ".geojsonl", ".shp", ".fgb", ".jsonl", ".ndjson")
 _XML = (".kml", ".kmz", ".gpx")
 POINT_SUFFIXES = (*_VECTOR, *_XML)
 """endings of the files that are read as points"""
@@ -36,7 +37,38 @@ def open_points(path: Path) -> Table:
     """
     if path.suffix.lower() in _XML:
         return _xml_table(path)
+    if path.suffix.lower() in (".json", ".jsonl", ".ndjson"):
+        found = _objects(path)
+        if found is not None:
+            return found
     return _vector_table(path)
+
+
+def _objects(path: Path) -> Table | None:
+    """Plain JSON objects, in one array or one a line; ``None`` where they are features of a map."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        if text.lstrip().startswith("["):
+            rows = json.loads(text)
+        else:
+            rows = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not rows or not all(isinstance(row, dict) for row in rows) or "type" in rows[0]:
+        return None
+    flat = [dict(_leaves(row)) for row in rows]
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    columns = {n: np.array([str(row.get(n, "")) for row in flat], dtype=object) for n in names}
+    return table_of(path.name, columns, {})
+
+
+def _leaves(row: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of an object by name, those inside another as ``outer.inner``."""
+    for name, value in row.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{before}{name}.")
+        elif value is not None and not isinstance(value, list):
+            yield f"{before}{name}", value
 
 
 def table_of(

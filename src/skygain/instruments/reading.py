@@ -25,9 +25,10 @@ from skygain.instruments.columns import (
     column_for,
     find_columns,
     level_quantity,
+    metres_each,
     series_columns,
 )
-from skygain.instruments.levels import MAX_LEVEL_DB, check_levels
+from skygain.instruments.levels import MAX_LEVEL_DB, check_levels, in_dbm
 from skygain.instruments.recording import Recording
 from skygain.instruments.selection import (
     conditions,
@@ -45,6 +46,8 @@ _TRUE, _FALSE = ("1", "true", "yes", "1.0"), ("", "0", "false", "no", "0.0")
 _LOCAL_SPAN = 1.5
 """a survey whose x and y span less than this, both in the range of degrees, is in degrees"""
 _DEGREE_M = 111_000.0
+_MOST_BAD, _FEW_BAD = 0.9, 5
+"""a column with more fields, by share and number, that are not understood holds something else"""
 
 
 def read_recording(
@@ -306,6 +309,14 @@ def _values(
         column = lines.columns[index[role]]
         what = f"the {role} ({header[index[role]]})"
         lines.missing(kind == MISSING, what, column)
+        wrong = int((kind == BAD).sum())
+        if wrong > max(_FEW_BAD, _MOST_BAD * len(kind)) and not ask.skip_bad:
+            first = str(column[np.flatnonzero(kind == BAD)[0]])[:40]
+            raise InputError(
+                f"{lines.name}: {what} holds no numbers but {first!r} and the like"
+                f"{', per cent' if first.strip().endswith('%') else ''}; name another column with "
+                f"`columns={role}=NAME`"
+            )
         good = lines.bad(
             kind == BAD, lambda i: f"{what} is {str(column[i])[:40]!r}, expected a finite number"
         )
@@ -324,7 +335,12 @@ def _values(
     for role in ("x", "y", "noise", "level"):
         if role in index:
             settle(role, parsed(role, numbers))
+    for role in ("x", "y"):
+        if role in found and metres_each(header[index[role]]) != 1.0:
+            found[role] = found[role] * metres_each(header[index[role]])
+            lines.notes.append(f"{role} (column {header[index[role]]!r}) is converted to metres")
     if "latitude" in found:
+        _turn(lines, found, index)
         _check_degrees(lines, found)
     if "noise" in found:
         wrong = (found["noise"] < 0) | (found["noise"] > MAX_LEVEL_DB)
@@ -345,6 +361,12 @@ def _values(
     if not len(lines.line):
         raise InputError(_nothing_left(lines))
     quantity = ask.quantity or table.quantity or level_quantity(level_name)
+    if quantity == "power":
+        found["level"], converted = in_dbm(found["level"], level_name, table.name)
+        lines.notes += converted
+        none = np.isnan(found["level"])
+        lines.missing(none, f"the level ({level_name})", None)
+        _keep(lines, found, ~none)
     wild = np.abs(found["level"]) > 1e6
     keep, told = check_levels(
         found["level"], quantity, level_name, table.name, lines.line, ask.limits
@@ -374,6 +396,27 @@ def _nothing_left(lines: _Lines) -> str:
     return f"{lines.name} holds no reading: " + "; ".join(lines.notes or ("it is empty",))
 
 
+def _turn(lines: _Lines, found: dict[str, Any], index: Mapping[str, int]) -> None:
+    """Degrees with their sign, where letters in a column of their own say south or west, and as
+    degrees where they are whole steps of 1e-7."""
+    for role, axis, letters in (
+        ("north_south", "latitude", "NS"),
+        ("east_west", "longitude", "EWO"),
+    ):
+        if role not in index:
+            continue
+        said = np.array([str(t)[:1].upper() for t in texts(lines.columns[index[role]])])
+        known = np.isin(said, list(letters))
+        if known.mean() > _MOST_BAD:
+            found[axis] = np.where(np.isin(said, ("S", "W")), -1.0, 1.0) * np.abs(found[axis])
+    size = [np.abs(found[axis]) for axis in ("latitude", "longitude")]
+    if all(len(v) and v.min() > 1e7 and (v == np.rint(v)).all() for v in size) and (
+        size[0].max() <= 9e8 and size[1].max() <= 3.6e9
+    ):
+        lines.notes.append("latitude and longitude are steps of 1e-7 degrees")
+        found["latitude"], found["longitude"] = found["latitude"] / 1e7, found["longitude"] / 1e7
+
+
 def _check_degrees(lines: _Lines, found: dict[str, Any]) -> None:
     latitude, longitude = found["latitude"], found["longitude"]
     nowhere = (latitude == 0) & (longitude == 0)
@@ -392,6 +435,14 @@ def _check_degrees(lines: _Lines, found: dict[str, Any]) -> None:
 
 def _position_problem(latitude: float, longitude: float) -> str:
     """What is wrong with a position in degrees."""
+    size = abs(latitude), abs(longitude)
+    in_minutes = all(v % 100 < 60 for v in size) and 100 < size[0] < 9000 and size[1] < 18_000
+    if in_minutes:
+        return (
+            f"the position is {latitude:.7g}, {longitude:.7g}, no degrees; if these are degrees "
+            "and minutes as NMEA 0183 writes them, convert them to degrees, and if they are "
+            "metres, name them as y and x with `columns=x=NAME,y=NAME`"
+        )
     if max(abs(latitude), abs(longitude)) > 1000:
         return (
             f"the position is {latitude:.7g}, {longitude:.7g}, no degrees; if these are metres, "

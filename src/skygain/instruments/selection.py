@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
-from skygain.instruments.columns import column_for, normalised
+from skygain.instruments.columns import column_for, metres_each, normalised
 from skygain.instruments.tables import quoted_list
 from skygain.instruments.values import numbers, texts
 
@@ -170,7 +170,7 @@ def _quoted(text: str) -> str:
 def refuse_altitudes(
     name: str,
     column: str,
-    altitude_m: NDArray[np.float64],
+    altitudes: NDArray[np.float64],
     place_m: NDArray[np.float64],
 ) -> list[str]:
     """Raise if places were visited at several altitudes; say so where altitudes differ from place
@@ -179,36 +179,39 @@ def refuse_altitudes(
     Args:
         name: of the file.
         column: of the altitudes.
-        altitude_m: ``[n]``, NaN where it is not known.
+        altitudes: ``[n]`` in the column's unit, NaN where it is not known.
         place_m: ``[n, 2]`` in metres, on any frame.
 
     Raises:
         InputError: naming the column and its values.
     """
-    known = np.isfinite(altitude_m)
+    known = np.isfinite(altitudes)
     if known.sum() < 2:
         return []
-    altitude = altitude_m[known]
+    altitude, unit_m = altitudes[known], metres_each(column)
+    spread, unit = _ALTITUDE_SPREAD_M / unit_m, "m" if unit_m == 1.0 else "ft"
     low, high = np.percentile(altitude, (2, 98))
-    if high - low <= _ALTITUDE_SPREAD_M:
+    if high - low <= spread:
         return []
     group = _places(place_m[known])
     lows, highs = (np.full(group.max() + 1, v) for v in (np.inf, -np.inf))
     np.minimum.at(lows, group, altitude)
     np.maximum.at(highs, group, altitude)
-    relative = any(w in normalised(column) for w in ("agl", "rel", "above_ground"))
-    mixed = float((highs - lows > _ALTITUDE_SPREAD_M).mean())
+    relative = any(w in normalised(column) for w in ("agl", "rel", "above_ground", "takeoff"))
+    mixed = float((highs - lows > spread).mean())
     if not relative and mixed < 0.05:
-        return [f"altitudes (column {column!r}) run from {low:g} to {high:g} m from place to place"]
+        return [
+            f"altitudes (column {column!r}) run from {low:g} to {high:g} {unit} from place to place"
+        ]
     values, count = np.unique(np.rint(altitude), return_counts=True)
     order = np.argsort(-count, kind="stable")[:6]
-    shown = ", ".join(f"{values[k]:g} m ({count[k]} lines)" for k in sorted(order))
-    common = values[order[0]]
+    shown = ", ".join(f"{values[k]:g} {unit} ({count[k]} lines)" for k in sorted(order))
+    common, beside = values[order[0]], np.rint(spread / 2)
     raise InputError(
-        f"{name} holds several altitudes in column {column!r}, {low:g} to {high:g} m: {shown}"
+        f"{name} holds several altitudes in column {column!r}, {low:g} to {high:g} {unit}: {shown}"
         f"{' …' if len(values) > 6 else ''}; they are different maps: choose one with "
-        f"`where={_quoted(column)}={common - 5:g}..{common + 5:g}`, or take all as one with "
-        f"`where={_quoted(column)}=*`"
+        f"`where={_quoted(column)}={common - beside:g}..{common + beside:g}`, or take all as one "
+        f"with `where={_quoted(column)}=*`"
     )
 
 

@@ -40,6 +40,18 @@ _NO_VALUE = frozenset(
         "invalid",
         "no signal",
         "no service",
+        "no data",
+        "nodata",
+        "n.a.",
+        "n.d.",
+        "nd",
+        "missing",
+        "undefined",
+        "not detected",
+        "not found",
+        "not measured",
+        "keine",
+        "нет",
         "\\n",
     )
 )

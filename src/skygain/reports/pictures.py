@@ -163,7 +163,10 @@ def paths_picture(outcome: Outcome, path: Path) -> None:
     handles = handles if many <= len(UAV_COLOURS) else []
     handles += [
         Line2D([], [], ls="", marker=marker, color="white", mec=INK, ms=7, label=label)
-        for marker, label in (("o", "start"), ("s", "end"))
+        for marker, label in (
+            ("o", "home" if (outcome.config or {}).get("home") else "start"),
+            ("s", "end"),
+        )
     ]
     if outcome.transmitter_m is not None and _on_map(outcome):
         handles.append(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = [
     "CityRequest",
+    "EnduranceRequest",
     "FlightRequest",
     "MethodRequest",
     "PlaceRequest",
@@ -154,6 +155,25 @@ class FlightRequest(Request):
         from skygain.flight.swarm import FlightRules
 
         return FlightRules(not self.allow_sharing, self.min_distance_m, self.return_to_start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnduranceRequest(Request):
+    """Home and battery"""
+
+    home: str | None = None
+    """where the UAVs take off: latitude,longitude or x,y in metres; one for all, or one for each
+    with semicolons between"""
+    battery_min: float | None = named(None, flag="battery")
+    """minutes that a battery lasts: no flight is longer, and every UAV ends it at its home"""
+    speed_mps: float | None = named(None, flag="speed")
+    """speed of flight in m/s; 5 when left out"""
+
+    def check(self) -> None:
+        """A battery and a speed that can be flown with."""
+        for name, value in (("battery_min", self.battery_min), ("speed_mps", self.speed_mps)):
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"`{name}` must be above 0, got {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-__all__ = ["asked_city", "asked_position", "at_sea_level", "bounded", "parse_position"]
+__all__ = [
+    "asked_city",
+    "asked_position",
+    "at_sea_level",
+    "bounded",
+    "city_around",
+    "parse_position",
+]
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -18,6 +25,7 @@ from skygain.survey.requests import CityRequest, TerritoryRequest
 
 if TYPE_CHECKING:
     from skygain.cities import Reading
+    from skygain.instruments.recording import Recording
 
 
 def asked_city(request: CityRequest) -> Reading:
@@ -35,21 +43,48 @@ def asked_city(request: CityRequest) -> Reading:
     return read_city(spec, CityOptions(**options, skip_bad=skip_bad))
 
 
-def asked_position(text: str, grid: Grid) -> tuple[float, float, float]:
-    """The transmitter's ``"x,y[,z]"`` or ``"latitude,longitude[,z]"`` in metres of the map; z is
-    1.5 m when left out.
+def city_around(request: CityRequest, recording: Recording) -> Reading:
+    """The city that a request names, for a map of ``recording``: where every reading lies beside
+    the city's own cells, as on the streets around a block, the map is widened to hold both.
+
+    Raises:
+        InputError: see `skygain.cities.read_city`; or one of city and recording has no place.
+    """
+    from skygain.instruments.gridded import bounds_of_both
+
+    reading = asked_city(request)
+    bounds = None if request.box else bounds_of_both(recording, reading.city.grid)
+    if bounds is None:
+        return reading
+    try:
+        wider = asked_city(replace(request, box=bounds))
+    except InputError:  # a city that has no box is as large as it is
+        return reading
+    shapes = [f"{rows} x {cols}" for rows, cols in (reading.city.grid.shape, wider.city.grid.shape)]
+    told = (
+        f"no reading lies on the city's {shapes[0]} cells, all lie beside them: the map is widened "
+        f"to {shapes[1]} cells"
+    )
+    return replace(wider, remarks=(*wider.remarks, told))
+
+
+def asked_position(
+    text: str, grid: Grid, *, name: str = "transmitter"
+) -> tuple[float, float, float]:
+    """A position ``"x,y[,z]"`` or ``"latitude,longitude[,z]"``, given as the parameter ``name``, in
+    metres of the map; z is 1.5 m when left out.
 
     Raises:
         InputError: it cannot be read, or lies off the map (see `skygain.cities.places`).
     """
     from skygain.cities.places import position_on
 
-    first, second, z = parse_position(text)
-    x, y = position_on(grid, (first, second))
+    first, second, z = parse_position(text, name=name)
+    x, y = position_on(grid, (first, second), name=name)
     return x, y, z
 
 
-def parse_position(text: str) -> tuple[float, float, float]:
+def parse_position(text: str, *, name: str = "transmitter") -> tuple[float, float, float]:
     """``"x,y"`` or ``"x,y,z"`` in metres; z is 1.5 m when left out.
 
     >>> parse_position("120, 80")
@@ -61,9 +96,8 @@ def parse_position(text: str) -> tuple[float, float, float]:
         numbers = []
     if len(numbers) not in (2, 3) or not np.isfinite(numbers).all():
         raise InputError(
-            f"cannot read the position {text!r}; write latitude,longitude or x,y in metres, "
-            "each with the height as a third number if need be, for example 120,80,1.5, or "
-            "'random'"
+            f"cannot read the position {text!r}; give `{name}` as latitude,longitude or x,y in "
+            "metres, each with the height as a third number if need be, for example 120,80,1.5"
         )
     x, y, *z = numbers
     return x, y, z[0] if z else 1.5
