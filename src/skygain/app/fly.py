@@ -28,12 +28,12 @@ from skygain.instruments.base import Instrument
 from skygain.reports.flown import Flown
 from skygain.reports.folder import FILES
 from skygain.scenario import Scenario
-from skygain.survey.deployment import deployed, speed_mps
+from skygain.survey.deployment import deployed
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.memory import demand_memory, in_words
 from skygain.survey.methods import MethodSpec
 from skygain.survey.origins import method_files
-from skygain.survey.requests import RecordingRequest
+from skygain.survey.requests import EnduranceRequest, RecordingRequest
 from skygain.survey.tape import FlightTape
 from skygain.survey.territory import asked_position, at_sea_level, bounded, city_around
 from skygain.survey.worlds import open_world
@@ -228,9 +228,8 @@ def fly(
 
 def _step_s(request: SurveyRequest, scenario: Scenario) -> float:
     """Seconds that a move takes; a second where neither speed nor battery is given."""
-    if request.speed_mps is None and request.battery_min is None:
-        return 1.0
-    return scenario.grid.spacing_m / speed_mps(request)
+    asked = request.battery_min is not None or request.speed_mps != EnduranceRequest.speed_mps
+    return scenario.grid.spacing_m / request.speed_mps if asked else 1.0
 
 
 def _method(request: SurveyRequest) -> MethodSpec:

@@ -74,15 +74,11 @@ class OutputRequest(Request):
     """keep the map for the report every this many steps"""
     threshold_db: float | None = named(None, flag="threshold")
     """level from which there is coverage, dB or dBm: the report says the share of the area"""
-    speed_mps: float = named(5.0, flag="speed")
-    """speed of the UAVs in m/s, for the minutes in the report"""
 
     def check(self) -> None:
-        """Something is recorded, and the UAVs move."""
+        """Something is recorded."""
         if self.record_every < 1:
             raise InputError(f"`record_every` must be 1 or more, got {self.record_every}")
-        if not 0 < self.speed_mps < math.inf:
-            raise InputError(f"`speed_mps` must be above 0, got {self.speed_mps:g}")
 
 
 @dataclass(frozen=True, kw_only=True)

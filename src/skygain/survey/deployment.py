@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["DEFAULT_SPEED_MPS", "asked_homes", "deployed", "moves_within"]
+__all__ = ["asked_homes", "deployed", "moves_within"]
 
 from dataclasses import replace
 
@@ -16,9 +16,6 @@ from skygain.ground.errors import InputError
 from skygain.scenario import Scenario
 from skygain.survey.requests import EnduranceRequest, FlightRequest
 from skygain.survey.territory import asked_position
-
-DEFAULT_SPEED_MPS = 5.0
-"""speed of flight where a battery is given and no speed"""
 
 
 class _Flight(FlightRequest, EnduranceRequest):
@@ -39,12 +36,7 @@ def moves_within(request: EnduranceRequest, spacing_m: float) -> int | None:
     """How many moves of a cell a battery allows; ``None`` without one."""
     if request.battery_min is None:
         return None
-    return int(60.0 * request.battery_min * speed_mps(request) / spacing_m + 1e-9)
-
-
-def speed_mps(request: EnduranceRequest) -> float:
-    """The speed asked for, or the usual one."""
-    return DEFAULT_SPEED_MPS if request.speed_mps is None else request.speed_mps
+    return int(60.0 * request.battery_min * request.speed_mps / spacing_m + 1e-9)
 
 
 def deployed(
@@ -67,7 +59,7 @@ def deployed(
         InputError: nobody can take off there, or the battery lasts for no move and back.
     """
     rules, steps, notes = request.rules, request.steps, []
-    spacing, speed = scenario.grid.spacing_m, speed_mps(request)
+    spacing, speed = scenario.grid.spacing_m, request.speed_mps
     most = moves_within(request, spacing)
     if most is not None:
         rules = replace(rules, return_to_start=True)

@@ -166,8 +166,8 @@ class EnduranceRequest(Request):
     with semicolons between"""
     battery_min: float | None = named(None, flag="battery")
     """minutes that a battery lasts: no flight is longer, and every UAV ends it at its home"""
-    speed_mps: float | None = named(None, flag="speed")
-    """speed of flight in m/s; 5 when left out"""
+    speed_mps: float = named(5.0, flag="speed")
+    """speed of flight in m/s: how long a battery lasts, and the minutes flown in the report"""
 
     def check(self) -> None:
         """A battery and a speed that can be flown with."""
