@@ -6,8 +6,8 @@ it jumps. `volatility` is the squared error of Kriging over its variance by the 
 as a weight per cell it turns the sum of variances into the expected squared error. Beliefs whose
 variances differ from place to place by themselves need no such weight.
 
-The weights were measured on the training cities with an earlier fit of Kriging, and the planner's
-tables were made with them. The fit of today gives a flatter curve: see docs/planners.md.
+The weights were measured on the training cities with an earlier fit of Kriging. The fit of today
+gives a flatter curve, with which planned flights end worse: see docs/planners.md.
 """
 
 from __future__ import annotations
