@@ -10,6 +10,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     foreign,
     kriging,
     measured,
+    memory,
     networks,
     paper,
     planning,

@@ -27,7 +27,7 @@ def test_a_survey_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch) 
     scenario = Scenario(City(Grid(shape, 4.0), np.zeros(shape)))
     swarm = Swarm.deployed(scenario, [(0, 0), (9, 9)], 1000)
     instrument = PerfectInstrument(np.full(shape, -90.0))
-    for name in ("kriging-blind", "operator"):
+    for name in ("kriging-blind", "kriging-inferred", "operator"):
         survey = Survey(scenario, create_predictor(name), create_planner("lawnmower"), instrument)
         with pytest.raises(InputError, match=r"2\.0 GB are free; give `predictor=local-kriging`"):
             survey.fly(swarm, np.random.default_rng(0))
@@ -35,7 +35,7 @@ def test_a_survey_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_every_predictor_of_ours_tells_what_it_takes() -> None:
-    for name in ("kriging", "local-kriging", "idw", "knn", "gids", "thin-plate", "operator"):
+    for name in ("kriging", "kriging-inferred", "local-kriging", "thin-plate", "operator", "unet"):
         predictor = PREDICTORS.create(name)
         small, large = (predictor.memory_bytes(cells, 600) for cells in (96**2, 10**6))
         assert 0 < small < large

@@ -12,7 +12,7 @@ from skygain.measurements import Measurements
 from skygain.posterior import Posterior
 from skygain.scenario import Scenario
 
-MAPS_BYTES = 200.0
+MAPS_BYTES = 300.0
 """per cell, of the maps that any survey holds"""
 
 

@@ -74,6 +74,10 @@ def roughness_and_scale(K: Array, P: Array, y: Array) -> tuple[float, float]:
 class ThinPlatePredictor(ReadingsPredictor):
     """Thin plate spline with restricted-likelihood smoothing; exact at measured cells."""
 
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """A chunk's kernels and their solutions."""
+        return super().memory_bytes(cells, readings) + 64.0 * CHUNK * readings
+
     def predict(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
         grid = scenario.grid
         everywhere = grid.xy_m(grid.cells)

@@ -53,6 +53,8 @@ from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
+INFERRED_BYTES = 4000.0
+"""per cell, of the places where the transmitter may stand and their means"""
 LEVELS = ("any", "gain")
 """what may be said of the readings' level"""
 
@@ -112,8 +114,10 @@ class KrigingPredictor(Predictor):
         return parameter_file(of) if isinstance(of, str | Path) else shipped_parameters()
 
     def memory_bytes(self, cells: int, readings: int) -> float:
-        """Each reading is tied to every cell, in single precision."""
-        return super().memory_bytes(cells, readings) + 4.0 * cells * readings
+        """Each reading is tied to every cell, in single precision; a transmitter that has to be
+        found is thought of in many places."""
+        places = INFERRED_BYTES * cells if self.trend == "inferred" else 0.0
+        return super().memory_bytes(cells, readings) + 4.0 * cells * readings + places
 
     def begin(self, scenario: Scenario) -> KrigingBelief:
         """The belief before the first measurement.

@@ -23,6 +23,9 @@ from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.scenario import Scenario
 
+NETWORKS_BYTES = 4e8
+"""what both networks take with their weights"""
+
 
 @dataclass(frozen=True)
 class PaperUNetPredictor(Predictor):
@@ -37,6 +40,10 @@ class PaperUNetPredictor(Predictor):
     """what runs the network, see `skygain.networks.runtime`"""
 
     needs_gain: ClassVar[bool] = True
+
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """The two networks, whatever the map."""
+        return super().memory_bytes(cells, readings) + NETWORKS_BYTES
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         """The belief before the first measurement.

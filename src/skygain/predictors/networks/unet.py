@@ -21,6 +21,9 @@ from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.scenario import Scenario
 
+LAYERS_BYTES = 1200.0
+"""per cell, of what the network's layers hold at a time"""
+
 
 @dataclass(frozen=True)
 class UNetPredictor(Predictor):
@@ -32,6 +35,10 @@ class UNetPredictor(Predictor):
     """what runs the network, see `skygain.networks.runtime`"""
 
     needs_gain: ClassVar[bool] = True
+
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """The network's layers."""
+        return super().memory_bytes(cells, readings) + LAYERS_BYTES * cells
 
     def begin(self, scenario: Scenario) -> NetworkBelief:
         _ = self._network

@@ -71,6 +71,12 @@ class RivalPredictor(ReadingsPredictor):
         require(self.package, "rivals")
         return super().begin(scenario)
 
+    def memory_bytes(self, cells: int, readings: int) -> float:
+        """Covariances between so many cells and the readings, and what the library makes of
+        them."""
+        held = min(float(cells) * readings, ENTRIES)
+        return super().memory_bytes(cells, readings) + 64.0 * (held + readings**2)
+
     def predict(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
         xy = scenario.grid.xy_m(scenario.grid.cells)
         xy -= xy.mean(axis=0)
