@@ -7,7 +7,7 @@ import pytest
 
 from skygain.city import Building
 from skygain.propagation.launching.geometry import city_geometry
-from skygain.propagation.launching.walking import blocked
+from skygain.propagation.launching.walking import blocker
 
 from ..conftest import box, city_of
 
@@ -16,7 +16,7 @@ TOWER = box(60, 10, 80, 50, 12.0)
 
 def stopped(buildings: list[Building], a: tuple[float, ...], b: tuple[float, ...]) -> bool:
     g = city_geometry(city_of(buildings), buildings, [0] * len(buildings))
-    return bool(blocked(*a, *b, g.walls, g.first, g.listed, g.tallest_m, g.frame))
+    return bool(blocker(*a, *b, -1, g.walls, g.first, g.listed, g.tallest_m, g.frame) >= 0)
 
 
 @pytest.mark.parametrize(

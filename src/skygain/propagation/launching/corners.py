@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from skygain.propagation.launching.antenna import amplitude
-from skygain.propagation.launching.walking import FAR, blocked
+from skygain.propagation.launching.walking import FAR, blocker
 from skygain.propagation.launching.wedge import diffracted
 
 WINDOWS = 8
@@ -34,19 +34,20 @@ _NEAREST_M = 1e-2
 
 
 @numba.njit(cache=True, nogil=True)
-def _sees(edge, at, source, origin, along, normals, world):
-    walls, _owner, first, listed, tallest, frame = world
+def _sees(edge, at, source, origin, along, walls, first, listed, tallest, frame):
     x = origin[edge, 0] + at * along[edge, 0]
     y = origin[edge, 1] + at * along[edge, 1]
     z = origin[edge, 2] + at * along[edge, 2]
-    return not blocked(
-        source[0], source[1], source[2], x, y, z, walls, first, listed, tallest, frame
+    wall = blocker(
+        source[0], source[1], source[2], x, y, z, -1, walls, first, listed, tallest, frame
     )
+    return wall < 0
 
 
 @numba.njit(cache=True, nogil=True)
 def edge_windows(source, origin, along, length, normals, world):
     """The parts of every edge that ``source`` sees: ``[edge, window, (from, to)]`` and how many."""
+    walls, _owner, first, listed, tallest, frame = world
     count = len(length)
     windows = np.zeros((count, WINDOWS, 2))
     found = np.zeros(count, dtype=np.int64)
@@ -63,7 +64,7 @@ def edge_windows(source, origin, along, length, normals, world):
         before = False
         for j in range(samples + 1):
             at = min(max(j * step, 1e-4), length[e] - 1e-4)
-            now = _sees(e, at, source, origin, along, normals, world)
+            now = _sees(e, at, source, origin, along, walls, first, listed, tallest, frame)
             if j == 0:
                 if now:
                     windows[e, 0, 0] = 0.0
@@ -71,7 +72,10 @@ def edge_windows(source, origin, along, length, normals, world):
                 low, high = (j - 1) * step, j * step
                 for _ in range(10):
                     middle = 0.5 * (low + high)
-                    if _sees(e, middle, source, origin, along, normals, world) == before:
+                    now_here = _sees(
+                        e, middle, source, origin, along, walls, first, listed, tallest, frame
+                    )
+                    if now_here == before:
                         low = middle
                     else:
                         high = middle
@@ -94,16 +98,19 @@ def edge_windows(source, origin, along, length, normals, world):
 
 
 @numba.njit(cache=True, nogil=True)
-def _reached(e, x, y, z, source, origin, along, normals, windows, found, world):
-    """Place on edge ``e`` at which a ray diffracts to a point, or -1 if none gets there."""
-    walls, _owner, first, listed, tallest, frame = world
+def _reached(
+    e, x, y, z, hint, source, origin, along, normals, windows, found, walls, first, listed,
+    tallest, frame,
+):  # fmt: skip
+    """Place on edge ``e`` at which a ray diffracts to a point, or -1 if none gets there, and the
+    wall that is in its way, or the ``hint`` where there is none."""
     ox, oy, oz = origin[e, 0], origin[e, 1], origin[e, 2]
     ux, uy, uz = along[e, 0], along[e, 1], along[e, 2]
     rx, ry, rz = x - ox, y - oy, z - oz
     out0 = rx * normals[e, 0, 0] + ry * normals[e, 0, 1] + rz * normals[e, 0, 2]
     out1 = rx * normals[e, 1, 0] + ry * normals[e, 1, 1] + rz * normals[e, 1, 2]
     if out0 <= 1e-9 and out1 <= 1e-9:
-        return -1.0
+        return -1.0, hint
     sx, sy, sz = source[0] - ox, source[1] - oy, source[2] - oz
     a_t = sx * ux + sy * uy + sz * uz
     a_r = rx * ux + ry * uy + rz * uz
@@ -114,12 +121,12 @@ def _reached(e, x, y, z, source, origin, along, normals, windows, found, world):
     for i in range(found[e]):
         seen |= windows[e, i, 0] <= at <= windows[e, i, 1]
     if not seen:
-        return -1.0
-    if blocked(
-        ox + at * ux, oy + at * uy, oz + at * uz, x, y, z, walls, first, listed, tallest, frame
-    ):
-        return -1.0
-    return at
+        return -1.0, hint
+    wall = blocker(
+        ox + at * ux, oy + at * uy, oz + at * uz, x, y, z, hint, walls, first, listed, tallest,
+        frame,
+    )  # fmt: skip
+    return (at, hint) if wall < 0 else (-1.0, wall)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -137,12 +144,12 @@ def _place(e, x, y, z, source, origin, along):
 
 
 @numba.njit(cache=True, nogil=True)
-def _power(e, at, x, y, z, source, edges, physics, scratch):
+def _power(
+    e, at, x, y, z, source, origin, along, normals, materials, theory, field, pattern, slabs,
+    e_in, e_out, incoming, outgoing,
+):  # fmt: skip
     """Power at a point by way of edge ``e``, over that of free space at 1 m, and roughly how
     far the point is from a boundary of light."""
-    origin, along, normals, materials = edges
-    theory, field, pattern, slabs = physics
-    e_in, e_out, incoming, outgoing = scratch
     qx, qy = origin[e, 0] + at * along[e, 0], origin[e, 1] + at * along[e, 1]
     qz = origin[e, 2] + at * along[e, 2]
     ix, iy, iz = qx - source[0], qy - source[1], qz - source[2]
@@ -178,7 +185,11 @@ def _power(e, at, x, y, z, source, edges, physics, scratch):
 @numba.njit(cache=True, nogil=True)
 def _part(e, west, south, z, side, points, source, edges, windows, found, physics, world, scratch):
     """Mean power of a cell of which a part is lit, 0 if no place of two lattices is."""
-    origin, along, normals, _materials = edges
+    origin, along, normals, materials = edges
+    theory, field, pattern, slabs = physics
+    walls, _owner, first, listed, tallest, frame = world
+    e_in, e_out, incoming, outgoing = scratch
+    hint = -1
     for half in (points, 2 * points):
         total, hits = 0.0, 0
         for part in range(4):
@@ -187,7 +198,10 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                 for b in range(half):
                     x = west + ((part % 2) * half + b + 0.5) / (2 * half) * side
                     y = south + ((part // 2) * half + a + 0.5) / (2 * half) * side
-                    at = _reached(e, x, y, z, source, origin, along, normals, windows, found, world)
+                    at, hint = _reached(
+                        e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
+                        first, listed, tallest, frame,
+                    )  # fmt: skip
                     if at >= 0.0:
                         mean_x += x
                         mean_y += y
@@ -197,7 +211,10 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
             hits += count
             x, y = mean_x / count, mean_y / count
             at = _place(e, x, y, z, source, origin, along)
-            power, apart = _power(e, at, x, y, z, source, edges, physics, scratch)
+            power, apart = _power(
+                e, at, x, y, z, source, origin, along, normals, materials, theory, field, pattern,
+                slabs, e_in, e_out, incoming, outgoing,
+            )  # fmt: skip
             if apart > _SMOOTH * points * side:
                 total += power * count
                 continue
@@ -206,9 +223,15 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                 for b in range(half):
                     x = west + ((part % 2) * half + b + 0.5) / (2 * half) * side
                     y = south + ((part // 2) * half + a + 0.5) / (2 * half) * side
-                    at = _reached(e, x, y, z, source, origin, along, normals, windows, found, world)
+                    at, hint = _reached(
+                        e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
+                        first, listed, tallest, frame,
+                    )  # fmt: skip
                     if at >= 0.0:
-                        power, apart = _power(e, at, x, y, z, source, edges, physics, scratch)
+                        power, apart = _power(
+                            e, at, x, y, z, source, origin, along, normals, materials, theory,
+                            field, pattern, slabs, e_in, e_out, incoming, outgoing,
+                        )  # fmt: skip
                         total += power
         if hits > 0:
             return total / (4 * half * half)
@@ -242,13 +265,13 @@ def diffract_edges(
     is found beside a dark middle the search goes on with the neighbours, along beams narrower
     than a cell. Cells that are ``indoors`` are left out.
     """
-    origin, along, normals, _materials = edges
-    scratch = (
-        np.empty(3, dtype=np.complex128),
-        np.empty(3, dtype=np.complex128),
-        np.empty(3),
-        np.empty(3),
-    )
+    # tuples of arrays are taken apart here: in the loops that would cost more than the work
+    origin, along, normals, materials = edges
+    theory, field, pattern, slabs = physics
+    walls, _owner, first, listed, tallest, frame = world
+    e_in, e_out = np.empty(3, dtype=np.complex128), np.empty(3, dtype=np.complex128)
+    incoming, outgoing = np.empty(3), np.empty(3)
+    scratch = (e_in, e_out, incoming, outgoing)
     rows, cols = out.shape[1], out.shape[2]
     corner_x, corner_y, side = lattice
     points = nodes.shape[1]
@@ -260,15 +283,16 @@ def diffract_edges(
             continue
         for j in range(len(altitudes)):
             z = altitudes[j]
-            any_seen = False
+            any_seen, hint = False, -1
             for row in range(rows):
                 for col in range(cols):
                     sees[row, col] = _INDOORS
                     if not indoors[j, row, col]:
                         x, y = corner_x + (col + 0.5) * side, corner_y + (row + 0.5) * side
-                        at = _reached(
-                            e, x, y, z, source, origin, along, normals, windows, found, world
-                        )
+                        at, hint = _reached(
+                            e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
+                            first, listed, tallest, frame,
+                        )  # fmt: skip
                         sees[row, col] = at
                         any_seen |= at >= 0.0
             if not any_seen:
@@ -293,8 +317,9 @@ def diffract_edges(
                         continue
                     x, y = corner_x + (col + 0.5) * side, corner_y + (row + 0.5) * side
                     power, apart = _power(
-                        e, sees[row, col], x, y, z, source, edges, physics, scratch
-                    )
+                        e, sees[row, col], x, y, z, source, origin, along, normals, materials,
+                        theory, field, pattern, slabs, e_in, e_out, incoming, outgoing,
+                    )  # fmt: skip
                     if apart < _SMOOTH * points * side:
                         power = 0.0
                         parts = 2 if apart < _STEEP * side else 1
@@ -305,8 +330,10 @@ def diffract_edges(
                                 px, qy = x + 0.5 * px * side, y + 0.5 * py * side
                                 at = _place(e, px, qy, z, source, origin, along)
                                 more, apart = _power(
-                                    e, at, px, qy, z, source, edges, physics, scratch
-                                )
+                                    e, at, px, qy, z, source, origin, along, normals, materials,
+                                    theory, field, pattern, slabs, e_in, e_out, incoming,
+                                    outgoing,
+                                )  # fmt: skip
                                 weight = nodes[1, a % points] * nodes[1, b % points]
                                 power += 0.25 * weight / (parts * parts) * more
                     out[j, row, col] += power

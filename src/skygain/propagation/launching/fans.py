@@ -29,7 +29,6 @@ from skygain.propagation.launching.following import (
 from skygain.propagation.launching.geometry import Geometry
 from skygain.propagation.launching.pieces import MOST, inside
 from skygain.propagation.launching.rays import signature
-from skygain.propagation.launching.wedge import no_theory
 
 _BESIDE_M = 1.0
 """a corner is looked for in every cell that comes this near to it: a beam is never half as wide"""
@@ -128,14 +127,13 @@ def empty_book() -> tuple[Any, ...]:
 def strengths(book, altitude, field, pattern, table, ground):
     """|E|² at the corner of every arrival, spreading included, at the slope of one altitude."""
     count, numbers, lengths, met, kinds, _slopes = book[5:]
-    alone = bend_of(-1, np.zeros((2, 3)), np.zeros(4), no_theory())
     found = np.zeros(count[0])
     for k in range(count[0]):
         s, z, azimuth = lengths[k, 0], lengths[k, 1], lengths[k, 5]
-        physics = (field, pattern, azimuth, table, ground)
         found[k] = strength(
-            max(s, 0.1), altitude - z, met[k], kinds[k], numbers[k, 1], physics, alone
-        )
+            max(s, 0.1), altitude - z, met[k], kinds[k], numbers[k, 1], field, pattern, azimuth,
+            table, ground,
+        )  # fmt: skip
     return found
 
 

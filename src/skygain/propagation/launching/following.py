@@ -66,13 +66,36 @@ def _lanes(pieces, n, z, altitudes, over_ground, lanes, numbers):
 
 
 @numba.njit(cache=True, nogil=True)
-def _power(s, rise, mirrored, turn, met, kinds, w, physics, bend):
+def _power(s, rise, mirrored, turn, met, kinds, w, field, pattern, azimuth, table, ground):
     """|E|² of the ray of a branch that has the unfolded length ``s``.
 
     ``mirrored`` is 0 for no mirror beneath it, 1 for the ground and 2 for a roof; ``turn`` is
-    the length at which it is met. ``met[k]`` has length, normal across and normal beside, but
-    for the corner of a `bend`, whose length it has.
+    the length at which it is met. ``met[k]`` has length, normal across and normal beside.
+    Arrays are passed one by one: a tuple of them costs more than the field.
     """
+    r = math.sqrt(s * s + rise * rise)
+    sine = rise / r
+    flat = s / r
+    e_v, e_h = field[0], field[1]
+    down = mirrored > 0
+    for k in range(w):
+        if down and met[k, 0] > turn:
+            e_v, e_h = at_ground(e_v, e_h, sine, table, ground if mirrored == 1 else kinds[0])
+            down = False
+        te, tm = coefficients(table, kinds[k + 1], abs(met[k, 1]) * flat)
+        e_v, e_h = at_wall(e_v, e_h, -sine if down else sine, met[k, 1], met[k, 2], te, tm)
+    if down:
+        e_v, e_h = at_ground(e_v, e_h, sine, table, ground if mirrored == 1 else kinds[0])
+    power = e_v.real * e_v.real + e_v.imag * e_v.imag + e_h.real * e_h.real + e_h.imag * e_h.imag
+    if len(pattern):
+        power *= amplitude(pattern, azimuth, -sine if mirrored > 0 else sine) ** 2
+    return power
+
+
+@numba.njit(cache=True, nogil=True)
+def _bent_power(s, rise, mirrored, turn, met, kinds, w, physics, bend):
+    """`_power` of a branch that has come round the corner of a ``bend``; of the corner ``met`` has
+    the length alone."""
     field, pattern, azimuth, table, ground = physics
     at = bend[0]
     r = math.sqrt(s * s + rise * rise)
@@ -99,9 +122,10 @@ def _power(s, rise, mirrored, turn, met, kinds, w, physics, bend):
 
 
 @numba.njit(cache=True, nogil=True)
-def strength(s, rise, met, kinds, w, physics, bend):
+def strength(s, rise, met, kinds, w, field, pattern, azimuth, table, ground):
     """|E|² of a branch at the length ``s``, its spreading included."""
-    return _power(s, rise, 0, 0.0, met, kinds, w, physics, bend) / (s * s + rise * rise)
+    power = _power(s, rise, 0, 0.0, met, kinds, w, field, pattern, azimuth, table, ground)
+    return power / (s * s + rise * rise)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -214,6 +238,11 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
         book[3],
         book[4],
     )
+    field, pattern, azimuth, table, ground = physics
+    bent = bend[0]
+    # a child may take the place of its parent on the stack: what a branch needs moves to the top
+    t = len(place) - 1
+    met_here, kinds_here = met[t], kinds[t]
     waiting = 1
     while waiting:
         waiting -= 1
@@ -221,8 +250,6 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
         x, y, dx, dy = place[b, 0], place[b, 1], place[b, 2], place[b, 3]
         s0, z, u = place[b, 4], place[b, 5], place[b, 6]
         n, w, roofed, skip = counts[b, 0], counts[b, 1], counts[b, 2], counts[b, 3]
-        # a child may take the place b on the stack: what this branch needs moves to the top row
-        t = len(place) - 1
         place[t, 7] = place[b, 7]
         for i in range(n):
             slopes[t, i, 0], slopes[t, i, 1] = slopes[b, i, 0], slopes[b, i, 1]
@@ -269,17 +296,23 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
                         rise = lanes[i, 2]
                         s = 0.5 * (a + e)
                         mirrored = 2 if roofed else numbers[i, 1]
-                        if bend[0] == 0 and w == 1 and mirrored == 0:
+                        if bent == 0 and w == 1 and mirrored == 0:
                             continue  # a corner and nothing else is left to `corners`
                         turn = 0.0
                         if mirrored == 1:
                             turn = s * z / rise
                         elif mirrored == 2:
                             turn = s * (place[t, 7] - z) / rise
-                        power = _power(s, rise, mirrored, turn, met[t], kinds[t], w, physics, bend)
-                        if bend[0] >= 0:
-                            spread = (s - met[t, bend[0], 0]) * (e - a)
+                        if bent >= 0:
+                            power = _bent_power(
+                                s, rise, mirrored, turn, met_here, kinds_here, w, physics, bend
+                            )
+                            spread = (s - met_here[bent, 0]) * (e - a)
                         else:
+                            power = _power(
+                                s, rise, mirrored, turn, met_here, kinds_here, w, field, pattern,
+                                azimuth, table, ground,
+                            )  # fmt: skip
                             spread = 0.5 * math.log((e * e + rise * rise) / (a * a + rise * rise))
                         out[numbers[i, 0], row, col] += width * spread * power
             if keep and corner_first[cell] != corner_first[cell + 1]:
@@ -290,7 +323,7 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
                     if u - 1e-6 < ahead <= stop + 1e-6 and abs(cy * dx - cx * dy) <= (
                         0.5 * width * (s0 + ahead)
                     ):
-                        _note(book, q, s0 + ahead, z, dx, dy, roofed, w, n, t, physics[2], scratch)
+                        _note(book, q, s0 + ahead, z, dx, dy, roofed, w, n, t, azimuth, scratch)
             if keep and hit >= 0 and dx * walls[hit, 4] + dy * walls[hit, 5] < 0.0:
                 for i in range(2):
                     q = wall_ends[hit, i]
@@ -300,9 +333,7 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
                         if ahead > stop + 1e-6 and abs(cy * dx - cx * dy) <= (
                             0.5 * width * (s0 + ahead)
                         ):
-                            _note(
-                                book, q, s0 + ahead, z, dx, dy, roofed, w, n, t, physics[2], scratch
-                            )
+                            _note(book, q, s0 + ahead, z, dx, dy, roofed, w, n, t, azimuth, scratch)
             u = max(u, stop)
             if s0 + u >= furthest:
                 break
