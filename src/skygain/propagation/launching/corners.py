@@ -190,6 +190,7 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
     walls, _owner, first, listed, tallest, frame = world
     e_in, e_out, incoming, outgoing = scratch
     hint = -1
+    lit = np.empty(4 * points * points)
     for half in (points, 2 * points):
         total, hits = 0.0, 0
         for part in range(4):
@@ -202,6 +203,7 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                         e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
                         first, listed, tallest, frame,
                     )  # fmt: skip
+                    lit[a * half + b] = at
                     if at >= 0.0:
                         mean_x += x
                         mean_y += y
@@ -223,10 +225,7 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                 for b in range(half):
                     x = west + ((part % 2) * half + b + 0.5) / (2 * half) * side
                     y = south + ((part // 2) * half + a + 0.5) / (2 * half) * side
-                    at, hint = _reached(
-                        e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
-                        first, listed, tallest, frame,
-                    )  # fmt: skip
+                    at = lit[a * half + b]
                     if at >= 0.0:
                         power, apart = _power(
                             e, at, x, y, z, source, origin, along, normals, materials, theory,
