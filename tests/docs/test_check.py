@@ -4,9 +4,6 @@ import importlib.util
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-
-from skygain.app.cli import command_line
 
 PATH = Path(__file__).parents[2] / "docs" / "check.py"
 SPEC = importlib.util.spec_from_file_location("docs_check", PATH)
@@ -71,29 +68,7 @@ def test_every_record_names_a_command_that_exists():
         assert not list(check.wrong_commands(f"`{command}`"))
 
 
-NEWCOMERS = {
-    "student": ("tutorial.md", "inspect"),
-    "researcher": ("how-to/map-my-readings.md", "map"),
-    "operator": ("how-to/plan-over-my-city.md", "inspect"),
-}
-"""who types the commands of which page; surveys take longer and run in `docs/check.py --run`"""
-
-
-@pytest.mark.parametrize("who", NEWCOMERS)
-def test_a_newcomer_gets_there_by_the_commands_of_the_page(who, tmp_path, monkeypatch):
-    page, command = NEWCOMERS[who]
-    pytest.importorskip("pyogrio", reason="reads footprints")
-    commands = [w for w in check.runnable(PATH.parent / page) if w[0] == command]
-    assert commands
-    (tmp_path / "examples").symlink_to(PATH.parents[1] / "examples")
-    monkeypatch.chdir(tmp_path)
-    for words in commands:
-        found = CliRunner().invoke(command_line(), words)
-        assert found.exit_code == 0, (words, found.exception)
-        if command == "map":
-            assert (tmp_path / words[words.index("--out") + 1] / "report.html").exists()
-
-
 def test_every_page_of_a_newcomer_has_commands_that_run():
     for page in check.newcomers():
-        assert check.runnable(page) or "```python" in page.read_text()
+        text = page.read_text(encoding="utf-8")
+        assert check.runnable(page) or "skygain mission" in text or "```python" in text

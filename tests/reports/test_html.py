@@ -176,7 +176,9 @@ def test_a_huge_survey_is_thinned_but_keeps_its_ends(
 def test_same_survey_same_page_but_for_its_timings(make_outcome: Make, tmp_path: Path) -> None:
     first, second = (
         re.sub(
-            r'<dd class="value"><span>[\d.]+</span><small> m?s</small>', "", written(make_outcome(), tmp_path)
+            r'<dd class="value"><span>[\d.]+</span><small> m?s</small>',
+            "",
+            written(make_outcome(), tmp_path),
         )
         for _ in range(2)
     )

@@ -73,7 +73,8 @@ class OutputRequest(Request):
     record_every: int = 5
     """keep the map for the report every this many steps"""
     threshold_db: float | None = named(None, flag="threshold")
-    """level from which there is coverage, dB or dBm: the report says the share of the area"""
+    """level from which there is coverage, in dB or dBm, −100 when left out: the report says the
+    share of the area"""
 
     def check(self) -> None:
         """Something is recorded."""

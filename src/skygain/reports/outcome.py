@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_THRESHOLD, _SPEED_MPS = -100.0, 5.0
 SCORE_LABELS: dict[str, str] = {
     "rmse_db": "RMSE, unvisited cells",
     "rmse_all_db": "RMSE, all outdoor cells",
@@ -129,14 +130,13 @@ class Outcome:
     @property
     def speed_mps(self) -> float:
         """Speed of the UAVs that minutes are told for."""
-        return float((self.config or {}).get("speed_mps") or 5.0)
+        return float((self.config or {}).get("speed_mps") or _SPEED_MPS)
 
     @property
     def threshold(self) -> float:
-        """Level from which there is coverage; what was asked for, or a round one near the middle of
-        the map."""
+        """Level from which there is coverage, −100 unless another was asked for."""
         asked = (self.config or {}).get("threshold_db")
-        return 5.0 * round(float(np.nanmedian(self.mean_db)) / 5) if asked is None else float(asked)
+        return _THRESHOLD if asked is None else float(asked)
 
     @property
     def covered(self) -> float:
