@@ -172,8 +172,12 @@ def _in_order(cls: type) -> list[type]:
 
 
 def field_texts(cls: type) -> dict[str, str]:
-    """The docstring under each field of ``cls``, on one line."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
+    """The docstring under each field of ``cls``, on one line; none where its source is not kept, as
+    that of a class typed into a notebook."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
+    except (OSError, TypeError):
+        return {}
     assert isinstance(tree, ast.ClassDef)
     texts = {}
     for line, below in zip(tree.body, tree.body[1:], strict=False):
