@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import random
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,23 @@ def test_an_interrupt_is_answered_writes_what_was_learnt_and_can_go_on(
     assert "interrupted" in (folder / "results.json").read_text()
     assert ended(skygain("survey", "--resume", folder))[0] == 0
     assert result(folder) == whole
+
+
+def test_an_interrupt_of_compiled_code_before_the_flight_is_answered(tmp_path: Path) -> None:
+    folder = tmp_path / "survey"
+    child = skygain("survey", "--city", "9", "--spacing", "2", "--crop", "0", "--out", folder)
+    assert child.stderr is not None
+    for line in child.stderr:
+        if "computing the truth" in line:
+            break
+    sent = time.monotonic()
+    child.send_signal(signal.SIGINT)
+    for line in child.stderr:
+        if "nothing was measured yet" in line:
+            break
+    assert time.monotonic() - sent < 2  # a second, and one for a busy machine
+    assert ended(child)[0] == 130
+    assert not (folder / "flight.jsonl").exists()
 
 
 def test_a_folder_has_one_survey_at_a_time(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def run_comparison(request: EvaluateRequest, progress: Progress = SILENT) -> str
         InputError: see `skygain.evaluation.comparison.compare`; ``out`` cannot be written.
     """
     go_on = "every finished survey is kept; the same command goes on"
-    with told_of_signals(f"ended; {go_on}", f"ended; {go_on}"):
+    with told_of_signals(lambda: f"ended; {go_on}", f"ended; {go_on}"):
         try:
             return _compared(request, progress)
         except InputError as error:

@@ -23,7 +23,7 @@ def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
     what = _own(request, progress) if request.preset is None else request.preset
     progress.phase("tracing cities")
     ended = "ended; finished cities are kept, the same command goes on"
-    with told_of_signals(ended, ended):
+    with told_of_signals(lambda: ended, ended):
         build_dataset(
             what,
             request.out,

@@ -45,6 +45,7 @@ WORTH_TELLING = 1e9
 """bytes of memory from which they are told before the flight"""
 LEVEL_LABELS = {True: "channel gain in dB", False: "received power in dBm"}
 """what a map shows, by whether readings are gains"""
+_BEFORE = "stopping: nothing was measured yet, so nothing is written"
 JOURNAL = "flight.jsonl"
 """name of the file that keeps a flight while it is under way"""
 
@@ -74,12 +75,15 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
         if not resumed:
             (out / JOURNAL).unlink(missing_ok=True)
         go_on = f"skygain survey --resume {out}"
-        first = (
+        stopping = (
             "stopping: the step under way is finished, then everything measured is written. "
             f"Ctrl-C again ends at once; {go_on}  flies the rest"
         )
         kept = f"ended; every reading is kept, go on with: {go_on}"
-        with told_of_signals(first, kept), _journal(request) as journal:
+        with (
+            _journal(request) as journal,
+            told_of_signals(lambda: stopping if journal.records else _BEFORE, kept),
+        ):
             try:
                 outcome = fly(request, progress, journal)
                 early = outcome.result.stopped == "interrupted"
@@ -89,6 +93,10 @@ def run_survey(request: SurveyRequest, progress: Progress = SILENT) -> str:
                 if journal.records:
                     raise InputError(f"{error}; the flight is kept, go on with: {go_on}") from error
                 (out / JOURNAL).unlink()  # nothing was flown, so there is nothing to go on with
+                raise
+            except KeyboardInterrupt:
+                if not journal.records:
+                    (out / JOURNAL).unlink()
                 raise
         if outcome.result.stopped == "interrupted":
             notes = [*notes, f"the rest can be flown with: {go_on}"]

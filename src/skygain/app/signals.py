@@ -23,9 +23,9 @@ class Terminated(BaseException):
 
 
 @contextlib.contextmanager
-def told_of_signals(first: str, kept: str) -> Iterator[None]:
-    """Within the block Ctrl-C prints ``first`` at once and raises `KeyboardInterrupt` as usual; a
-    second one prints ``kept``; SIGTERM and SIGHUP print ``kept`` and raise `Terminated`.
+def told_of_signals(first: Callable[[], str], kept: str) -> Iterator[None]:
+    """Within the block Ctrl-C prints what ``first`` says at once and raises `KeyboardInterrupt` as
+    usual; a second one prints ``kept``; SIGTERM and SIGHUP print ``kept`` and raise `Terminated`.
 
     Python runs signal handlers between two of its own steps only, and compiled code can take
     seconds. So the text is printed by a thread that the system's own handler wakes. Outside the
@@ -45,7 +45,7 @@ def told_of_signals(first: str, kept: str) -> Iterator[None]:
                 return
             again = signal.SIGINT in seen
             seen.append(number)
-            text = first if number == signal.SIGINT and not again else kept
+            text = first() if number == signal.SIGINT and not again else kept
             print(f"\n{text}", file=sys.stderr, flush=True)
 
     def end(number: int, _: object) -> None:
