@@ -83,7 +83,7 @@ class OperatorSettings:
     """largest number of first candidates; their spacing grows until it holds"""
     first_maps: int = 64
     """so many of them have a map before the first reading"""
-    woken: int = 48
+    woken: int = 128
     """largest number of them that get one with an update, the likeliest first"""
     fine_m: float = 8.0
     """side of the squares whose probability is judged"""
