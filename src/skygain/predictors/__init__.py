@@ -16,6 +16,7 @@ PREDICTORS.register(
     "kriging-quadratic", "skygain.predictors.kriging.known_source:quadratic_kriging"
 )
 PREDICTORS.register("kriging-inferred", "skygain.predictors.kriging.known_source:inferred_kriging")
+PREDICTORS.register("launched", "skygain.predictors.kriging.known_source:launched_kriging")
 PREDICTORS.register("local-kriging", "skygain.predictors.kriging.local:LocalKrigingPredictor")
 PREDICTORS.register("gids", "skygain.predictors.interpolators.gids:GidsPredictor")
 PREDICTORS.register("thin-plate", "skygain.predictors.interpolators.thin_plate:ThinPlatePredictor")

@@ -20,6 +20,7 @@ __all__ = [
     "KrigingPredictor",
     "blind_kriging",
     "inferred_kriging",
+    "launched_kriging",
     "quadratic_kriging",
 ]
 
@@ -37,6 +38,7 @@ from skygain.posterior import GaussianProcessPosterior
 from skygain.predictors.base import Belief, Predictor
 from skygain.predictors.interpolators.readings import Readings, checked_flat, combined
 from skygain.predictors.kriging.inferred_trend import InferredTrend
+from skygain.predictors.kriging.launched import launched_columns, launched_priors
 from skygain.predictors.kriging.parameters import (
     TRENDS,
     KrigingParameters,
@@ -69,7 +71,7 @@ class KrigingPredictor(Predictor):
 
     trend: str = "log-distance"
     """``"log-distance"``; ``"inferred"``, the same around a transmitter that has to be found;
-    ``"constant"``; ``"quadratic"``"""
+    ``"launched"``, the map of the propagation model; ``"constant"``; ``"quadratic"``"""
     parameters: KrigingParameters | str | None = None
     """trend and covariance to start from, or a file written by ``skygain train kriging``; ``None``
     takes the ones that ship, for the scenario's altitude"""
@@ -82,11 +84,12 @@ class KrigingPredictor(Predictor):
     transmitter: Literal["required", "optional", "unused"] = field(
         init=False, repr=False, default="unused"
     )
-    """only the log-distance trend needs the transmitter's position"""
+    """only the log-distance and the launched trend need the transmitter's position"""
 
     def __post_init__(self) -> None:
-        if self.trend not in (*TRENDS, "inferred"):
-            raise InputError(f"unknown trend {self.trend!r}; known: {', '.join(TRENDS)}, inferred")
+        known = (*TRENDS, "inferred", "launched")
+        if self.trend not in known:
+            raise InputError(f"unknown trend {self.trend!r}; known: {', '.join(known)}")
         if self.level not in LEVELS:
             raise InputError(f"unknown level {self.level!r}; expected one of {', '.join(LEVELS)}")
         expected = {"constant": 1, "quadratic": 6}.get(self.trend, 2)
@@ -99,9 +102,8 @@ class KrigingPredictor(Predictor):
                 f"a trend {self.trend!r} has {expected} coefficients, but the parameters give "
                 f"{len(self.parameters.trend)}"
             )
-        object.__setattr__(
-            self, "transmitter", "required" if self.trend == "log-distance" else "unused"
-        )
+        told = self.trend in ("log-distance", "launched")
+        object.__setattr__(self, "transmitter", "required" if told else "unused")
 
     @property
     def needs_gain(self) -> bool:  # type: ignore[override]
@@ -128,6 +130,12 @@ class KrigingPredictor(Predictor):
         parameters = self.priors(scenario)[0][0]
         if self.trend == "inferred":
             trend: Trend = InferredTrend.unobserved(scenario, parameters)
+        elif self.trend == "launched":
+            flown, predicted = (
+                launched_columns(scenario, altitude_m)
+                for altitude_m in (scenario.uav_altitude_m, scenario.prediction_altitude_m)
+            )
+            trend = FixedTrend.unobserved(flown, predicted, parameters)
         else:
             grid, transmitter = scenario.grid, scenario.transmitter_m
             predicted = trend_columns(self.trend, grid, scenario.prediction_altitude_m, transmitter)
@@ -144,6 +152,8 @@ class KrigingPredictor(Predictor):
         """What a survey chooses from, the likeliest first, with the logarithm of the odds."""
         if isinstance(self.parameters, KrigingParameters):
             return [(self.parameters, 0.0)]
+        if self.trend == "launched":
+            return launched_priors(flat=self.level == "any")
         if (
             self.trend == "inferred"
         ):  # without a path-loss line there would be no transmitter to find
@@ -156,6 +166,8 @@ class KrigingPredictor(Predictor):
         """What is expected before the first reading, when only the training speaks."""
         if isinstance(self.parameters, KrigingParameters):
             return self.parameters
+        if self.trend == "launched":
+            return launched_priors(flat=False)[0][0]
         trend = "log-distance" if self.trend == "inferred" else self.trend
         return trained_parameters(trend, scenario.prediction_altitude_m, self._trained)
 
@@ -168,6 +180,12 @@ def blind_kriging(**options: Any) -> KrigingPredictor:
 def quadratic_kriging(**options: Any) -> KrigingPredictor:
     """Kriging that does not know the transmitter: second-order trend."""
     return KrigingPredictor(trend="quadratic", **options)
+
+
+def launched_kriging(**options: Any) -> KrigingPredictor:
+    """The propagation model's own map from a known transmitter, put right by the readings: its
+    level, its slope, and Kriging of what is left."""
+    return KrigingPredictor(trend="launched", **options)
 
 
 def inferred_kriging(**options: Any) -> KrigingPredictor:
