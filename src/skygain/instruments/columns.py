@@ -163,7 +163,8 @@ _SERIES += (
     "nr_arfcn",
     "uarfcn",
 )
-_SIGNALS = ("band", "lte_band", "nr_band", "frequency", "freq", "center_frequency", "channel")
+_SIGNALS = ("cell_tower_id", "channel_number", "modem")
+_SIGNALS += ("band", "lte_band", "nr_band", "frequency", "freq", "center_frequency", "channel")
 _SIGNALS += ("ssb", "ssb_index", "ssb_id", "beam", "beam_id", "beam_index", "sector", "sector_id")
 _SIGNALS += ("operator", "network", "plmn", "mnc", "mccmnc", "technology", "tech", "rat")
 _SIGNALS += ("network_type", "tx", "tx_id", "txid", "transmitter", "transmitter_id", "site")
@@ -256,7 +257,7 @@ def series_columns(header: Sequence[str], level: str) -> list[int]:
     """
     found = []
     for i, name in enumerate(header):
-        plain, without_unit = _plain(name)
+        plain, without_unit = _plain(name.rpartition(".")[2])
         beside = any(w in plain and w not in normalised(level) for w in ("detected", "neighb"))
         named = bool({plain, without_unit} & {*_SERIES, *_SIGNALS}) or plain.startswith(
             ("physical_cell_id", "pci_", "cell_id_")

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError, require
+from skygain.instruments import cellular
 from skygain.instruments.points import table_of
 from skygain.instruments.tables import Table, quoted_list
 
@@ -210,9 +211,10 @@ def _ulg(path: Path) -> dict[str, Message]:
             continue
         name = topic.name if topic.multi_id == 0 else f"{topic.name}#{topic.multi_id}"
         fields = {k: np.asarray(v) for k, v in topic.data.items() if k != "timestamp"}
-        messages[name] = {k: v for k, v in fields.items() if v.dtype.kind in "iuf"} | {
-            "time_s": np.asarray(stamp, dtype=np.float64) / 1e6
-        }
+        fields = {k: v for k, v in fields.items() if v.dtype.kind in "iuf"}
+        if topic.name in _CELLULAR:
+            fields = cellular.told(fields)
+        messages[name] = fields | {"time_s": np.asarray(stamp, dtype=np.float64) / 1e6}
     return messages
 
 
@@ -229,7 +231,12 @@ def _mavlink(path: Path) -> dict[str, Message]:
             )
             while (message := log.recv_match()) is not None:
                 kind = message.get_type()
-                if kind not in ("BAD_DATA", "FMT", "PARM", "FMTU", "MULT", "UNIT", "MSG"):
+                if kind == cellular.MESSAGE:
+                    values = cellular.decoded(bytes(message.data))
+                    if values is not None:
+                        stamp = float(message._timestamp)
+                        rows.setdefault(cellular.NAME, []).append((stamp, values))
+                elif kind not in ("BAD_DATA", "FMT", "PARM", "FMTU", "MULT", "UNIT", "MSG"):
                     values = message.to_dict()
                     rows.setdefault(kind, []).append((float(message._timestamp), values))
     except Exception as error:
@@ -273,6 +280,9 @@ def _fields(rows: list[tuple[float, dict[str, Any]]]) -> Message:
         values = [row.get(name) for _, row in rows]
         if all(isinstance(v, int | float) for v in values):
             fields[name] = np.array(values)
+    if "cell_tower_id" in rows[0][1]:
+        towers = [str(row.get("cell_tower_id", "")) for _, row in rows]
+        fields["cell_tower_id"] = np.array(towers, dtype=object)
     return fields
 
 
