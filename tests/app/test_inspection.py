@@ -39,6 +39,27 @@ def test_a_log_is_told_as_readings(tmp_path: Path) -> None:
     assert "level from 'rsrp'" in text
 
 
+def test_a_log_of_two_cells_is_shown_with_the_choice(tmp_path: Path) -> None:
+    """No refusal: the columns, their values, and what to choose."""
+    rows = [f"48.2{i:03d},16.37,{pci},{-70 - i}" for i in range(20) for pci in (101, 257)]
+    (tmp_path / "log.csv").write_text("\n".join(["lat,lon,pci,rsrp", *rows]))
+    lines = run_inspect(InspectRequest(file=str(tmp_path / "log.csv"))).splitlines()
+    assert "  40 lines, 4 columns" in lines
+    assert "  'pci': 101 (20), 257 (20)" in lines
+    assert "  'rsrp' (level): -89 to -70, 20 values" in lines
+    assert "it cannot be read as it stands" in lines[-1]
+    assert "`where=pci=101`" in lines[-1]
+    chosen = InspectRequest(file=str(tmp_path / "log.csv"), where={"pci": "101"})
+    assert "read as 20 readings" in run_inspect(chosen)
+
+
+def test_a_log_without_a_known_level_shows_its_columns(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("lat,lon,quality\n48.2,16.37,9\n48.3,16.37,\n")
+    text = run_inspect(InspectRequest(file=str(tmp_path / "log.csv")))
+    assert "'quality': empty (1), 9 (1)" in text
+    assert "`columns=level=NAME`" in text
+
+
 def test_points_are_readings_not_buildings(tmp_path: Path) -> None:
     geopandas = pytest.importorskip("geopandas")
     shapely = pytest.importorskip("shapely")

@@ -69,10 +69,15 @@ def _lines(request: InspectRequest) -> bool:
 
 
 def _log(path: Path, request: InspectRequest) -> list[str]:
-    """How the file is read as a recording."""
+    """What the file holds, and how it is read as a recording or why it is not."""
+    from skygain.instruments.contents import column_lines
     from skygain.instruments.reading import read_recording
 
-    recording = read_recording(str(path), **part(request, RecordingRequest))
+    held = column_lines(path, request.columns)
+    try:
+        recording = read_recording(str(path), **part(request, RecordingRequest))
+    except InputError as error:
+        return [*held, f"it cannot be read as it stands: {error}"]
     unit = "dB of channel gain" if recording.quantity == "gain" else "dBm"
     low, middle, high = np.quantile(recording.level_db, [0.0, 0.5, 1.0])
     lines = [
@@ -90,4 +95,4 @@ def _log(path: Path, request: InspectRequest) -> list[str]:
         lines.append(f"  x {west:.1f} to {east:.1f} m, y {south:.1f} to {north:.1f} m in {frame}")
     taken = ", ".join(f"{role} from {name!r}" for role, name in recording.columns.items())
     lines += [f"  {taken}"] if taken else []
-    return [*lines, *(f"  {note}" for note in recording.notes)]
+    return [*held, *lines, *(f"  {note}" for note in recording.notes)]
