@@ -162,3 +162,18 @@ def test_the_area_is_where_the_map_is(tmp_path):
     assert 0.3 < share < 0.6
     cells = next_places(found, 4)
     assert found.wanted[tuple(cells.T)].all()
+
+
+@pytest.mark.parametrize("predictor", ["kriging-inferred", "kriging-blind"])
+def test_a_constant_in_dbm_shifts_the_whole_map(predictor):
+    rng = np.random.default_rng(3)
+    grid = Grid((24, 24), 4.0)
+    cells = rng.permutation(grid.size)[:40]
+    xy = grid.xy_m(grid.cells[cells])
+    level = -70.0 - 0.2 * np.hypot(*(xy - 20.0).T) + rng.normal(0, 2, 40)
+    maps = []
+    for shift in (0.0, 40.0):
+        heard = Recording(level - shift, "power", "log", xy_m=xy)
+        chart = radio_map(on_grid(heard, grid), predictor=predictor, validate=False)
+        maps.append((chart.mean_db + shift, chart.std_db))
+    np.testing.assert_allclose(maps[1], maps[0], atol=1e-3)

@@ -31,7 +31,7 @@ from skygain.scenario import Scenario
 from skygain.survey.deployment import deployed
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.memory import demand_memory, in_words
-from skygain.survey.methods import MethodSpec
+from skygain.survey.methods import MethodSpec, for_quantity
 from skygain.survey.origins import method_files
 from skygain.survey.requests import EnduranceRequest, RecordingRequest
 from skygain.survey.tape import FlightTape
@@ -184,6 +184,9 @@ def fly(
         if request.replay
         else _simulated(request, setting_seed, progress)
     )
+    heard = replace(method, predictor=for_quantity(method.predictor, setting.quantity))
+    if heard != method:
+        method, predictor = heard, heard.build_predictor()
     whole, told_of_areas = bounded(setting.scenario, request)
     scenario = method.visible(whole, predictor)
     rng = np.random.default_rng(start_seed)

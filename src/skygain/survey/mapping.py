@@ -28,8 +28,9 @@ from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.instruments.gridded import GriddedRecording
 from skygain.posterior import Posterior
-from skygain.predictors import create_predictor
 from skygain.scenario import Scenario
+from skygain.survey.methods import for_quantity
+from skygain.survey.methods import predictor as named_predictor
 
 LARGE_WORK = 2e10
 """measured cells squared times cells of the map, from which one covariance matrix of all readings
@@ -148,7 +149,8 @@ def radio_map(
     if predictor == "auto":
         predictor, told = chosen_predictor(gridded)
         notes += told
-    method = create_predictor(predictor)
+    predictor = for_quantity(predictor, gridded.quantity)
+    method = named_predictor(predictor)
     if method.transmitter == "required" and transmitter_m is None:
         raise InputError(
             f"predictor {predictor!r} must be told where the transmitter is; give `transmitter`, "
@@ -244,7 +246,7 @@ def cross_validated(
                 out = fold == k
                 if out.all() or not out.any():
                     continue
-                belief = create_predictor(predictor).begin(scenario)
+                belief = named_predictor(predictor).begin(scenario)
                 posterior = belief.updated(readings.taken(~out)).posterior()
                 at = (rows[out], cols[out])
                 mean[out], std[out] = posterior.mean_db[at], posterior.std_db[at]

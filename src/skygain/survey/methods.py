@@ -8,7 +8,15 @@ texts.
 
 from __future__ import annotations
 
-__all__ = ["MethodSpec", "Option", "options_of", "parse_spec", "planner", "predictor"]
+__all__ = [
+    "MethodSpec",
+    "Option",
+    "for_quantity",
+    "options_of",
+    "parse_spec",
+    "planner",
+    "predictor",
+]
 
 import ast
 import dataclasses
@@ -71,6 +79,22 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
         except (ValueError, SyntaxError):
             options[key] = value
     return name, options
+
+
+def for_quantity(text: str, quantity: str) -> str:
+    """The predictor named ``text`` as it suits readings of ``quantity``: of power in dBm, whose
+    level says nothing, one that by default takes the trained level is told to take any.
+
+    >>> for_quantity("kriging-inferred+tx", "power"), for_quantity("kriging-inferred", "gain")
+    ('kriging-inferred:level=any+tx', 'kriging-inferred')
+    """
+    plain = text.removesuffix("+tx")
+    name, given = parse_spec(plain)
+    if quantity != "power" or "level" in given or name not in PREDICTORS:
+        return text
+    if getattr(predictor(plain), "level", None) != "gain":
+        return text
+    return f"{plain}:level=any{text[len(plain) :]}"
 
 
 @dataclass(frozen=True)
