@@ -105,7 +105,7 @@ def metric_crs(crs: Any | None, bounds: Bounds) -> Any | None:
     if not (np.isfinite([lon, lat]).all() and abs(lat) <= 84):
         raise InputError(
             f"x {x:g}, y {y:g} is no place {crs.name!r} can map (or beyond 84 degrees latitude); "
-            "give the right crs"
+            "give the right `crs`"
         )
     if crs.is_projected and all(axis.unit_name == "metre" for axis in crs.axis_info):
         scale = pyproj.Proj(crs).get_factors(lon, lat)
@@ -141,7 +141,7 @@ def transformed_bounds(bounds: Bounds, source: Any | None, target: Any | None) -
     if not np.isfinite(found).all():
         raise InputError(
             f"the area {_shown(bounds)} of {source.name!r} cannot be mapped to {target.name!r}; "
-            "give the right crs"
+            "give the right `crs`"
         )
     west, south, east, north = found
     return west, south, east, north
@@ -164,7 +164,7 @@ def box_in_metres(box: Bounds, crs: Any | None) -> Bounds:
         or values[1] >= values[3]
     ):
         raise InputError(
-            "a box is four numbers west,south,east,north (longitude before latitude), west less "
+            "`box` is four numbers west,south,east,north (longitude before latitude), west less "
             "than east and south less than "
             f"north; got {box}"
         )

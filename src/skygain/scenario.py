@@ -71,7 +71,7 @@ class Scenario:
             raise InputError(
                 f"no cell of {self.city.name!r} is free for flight at {self.uav_altitude_m:g} m: "
                 "every cell is built up or no-fly; "
-                "fly higher or choose another city"
+                "fly higher (`altitude_m`) or choose another `city`"
             )
         if not self.outdoor.any():
             raise InputError(

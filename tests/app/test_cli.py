@@ -99,7 +99,7 @@ def box_city(path: Path, height: float = 0.0) -> Path:
         (["--noise-db", "-3"], "0 dB or more"),
         (["--noise-db", "nan"], "0 dB or more"),
         (["--stop-std", "-1"], "above 0"),
-        (["--start", "ring"], "unknown start"),
+        (["--start", "ring"], "unknown --start"),
         (["--city", "atlantis"], "atlantis"),
         (["--city", "missing.tif"], "missing.tif"),
         (["--city", "missing.zarr.zip"], "missing.zarr.zip"),

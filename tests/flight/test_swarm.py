@@ -155,7 +155,7 @@ def test_spread_starts_are_distinct_and_free(rng: np.random.Generator) -> None:
     [
         ("cluster", 26, "fewer than"),
         ("spread", 26, "fewer than"),
-        ("ring", 2, "unknown start"),
+        ("ring", 2, "unknown `start`"),
         ("spread", 0, "at least one"),
     ],
 )

@@ -177,3 +177,35 @@ def test_a_constant_in_dbm_shifts_the_whole_map(predictor):
         chart = radio_map(on_grid(heard, grid), predictor=predictor, validate=False)
         maps.append((chart.mean_db + shift, chart.std_db))
     np.testing.assert_allclose(maps[1], maps[0], atol=1e-3)
+
+
+def test_the_next_legs_lie_on_the_streets(tmp_path):
+    """The west is measured; of two streets the eastern one teaches more, and legs have a length."""
+    geopandas = pytest.importorskip("geopandas")
+    shapely = pytest.importorskip("shapely")
+    log(tmp_path / "log.csv")
+    lat, lon = 48.2 + np.array([0, 240]) / 111000, 16.37 + np.array([20, 420]) / 74000
+    lines = [shapely.LineString([(x, lat[0]), (x, lat[1])]) for x in lon]
+    geopandas.GeoSeries(lines, crs=4326).to_file(tmp_path / "streets.geojson")
+    run_map(
+        MapRequest(
+            readings=(tmp_path / "log.csv",),
+            streets=tmp_path / "streets.geojson",
+            next_places=2,
+            box=(16.3695, 48.1995, 16.3765, 48.2030),
+            spacing_m=10.0,
+            validate=False,
+            out=tmp_path / "map",
+        )
+    )
+    found = geopandas.read_file(tmp_path / "map" / "next.geojson").to_crs(32633)
+    assert found.order.tolist() == [1, 2]
+    assert found.length.between(30, 90).all()
+    streets = geopandas.GeoSeries(lines, crs=4326).to_crs(32633)
+    assert found.distance(streets[1])[0] < 1.0
+    assert found.distance(streets.union_all()).max() < 1.0
+    assert found.distance(found.geometry[1])[0] > 30
+    assert len(geopandas.read_file(tmp_path / "map" / "next.gpx", layer="routes")) == 2
+    assert "<LineString>" in (tmp_path / "map" / "next.kml").read_text()
+    with pytest.raises(InputError, match="`next_places`"):
+        MapRequest(readings=(tmp_path / "log.csv",), streets=tmp_path / "streets.geojson")

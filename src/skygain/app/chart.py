@@ -6,6 +6,9 @@ __all__ = ["chart", "run_map"]
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from skygain.app.progress import Progress
 from skygain.app.requests import LATEST_MAP, MapRequest
 from skygain.ground.declared import part
@@ -15,7 +18,7 @@ from skygain.ground.journal import locked
 from skygain.ground.strict_json import holds
 from skygain.instruments import grid_for, joined, on_grid, read_recording, read_series
 from skygain.instruments.recording import Recording
-from skygain.survey.mapping import RadioMap, next_places, radio_map
+from skygain.survey.mapping import RadioMap, next_legs, next_places, radio_map
 from skygain.survey.requests import RecordingRequest
 from skygain.survey.territory import asked_position, city_around
 
@@ -62,19 +65,34 @@ def _written(request: MapRequest, progress: Progress | None) -> str:
 
     out = request.out
     charts = chart(request, progress)
-    places = {c.label: next_places(c, request.next_places) for c in charts if request.next_places}
+    places, legs = _next(request, charts)
     title = f"Map of {', '.join(path.name for path in request.readings)}"
     left = write_charts(
         charts,
         out,
         threshold=request.threshold_db,
         places=places,
+        legs=legs,
         config=request.stored(),
         title=title,
     )
     return "\n".join(
         [*_told(charts, request.threshold_db), *left, f"report: {out / 'report.html'}"]
     )
+
+
+def _next(
+    request: MapRequest, charts: list[RadioMap]
+) -> tuple[dict[str, NDArray[np.int64]], dict[str, list[NDArray[np.float64]]]]:
+    """Per label, the places or the legs of streets to measure next."""
+    if not request.next_places:
+        return {}, {}
+    if request.streets is None:
+        return {c.label: next_places(c, request.next_places) for c in charts}, {}
+    from skygain.cities.streets import read_streets, street_legs
+
+    legs = street_legs(read_streets(request.streets, charts[0].grid))
+    return {}, {c.label: next_legs(c, legs, request.next_places) for c in charts}
 
 
 def chart(request: MapRequest, progress: Progress | None = None) -> list[RadioMap]:

@@ -115,6 +115,7 @@ class MapRequest(CityRequest, RecordingRequest):
         skygain map drive.csv walk.gpkg --city buildings.geojson --threshold -105 --next 20
         skygain map scanner.csv --by pci --out maps/cells
         skygain map flight.ulg --columns level=radio_status.rssi
+        skygain map campaign.csv --where pci=101 --next 20 --streets streets.geojson
     """
 
     runs: ClassVar[str] = "skygain.app.chart:run_map"
@@ -137,7 +138,9 @@ class MapRequest(CityRequest, RecordingRequest):
     threshold_db: float | None = named(None, flag="threshold")
     """level from which there is coverage, in dBm or dB: its polygons and its share"""
     next_places: int = named(0, flag="next")
-    """so many places where the next readings would teach the most"""
+    """so many places where the next readings would teach the most, or legs of streets if given"""
+    streets: Path | None = None
+    """lines (.geojson, .gpkg, .shp, .kml), or the highways of .osm or .pbf, to measure along"""
     validate: bool = True
     """predict readings that are left out"""
     seed: int = 0
@@ -153,6 +156,8 @@ class MapRequest(CityRequest, RecordingRequest):
             raise InputError("`readings` are missing; give one log or several")
         if self.next_places < 0:
             raise InputError(f"`next_places` must be 0 or more, got {self.next_places}")
+        if self.streets is not None and not self.next_places:
+            raise InputError("`streets` are where to measure next; say how many with `next_places`")
         if self.seed < 0:
             raise InputError(f"`seed` must be 0 or more, got {self.seed}")
 

@@ -407,7 +407,7 @@ def _check_effort(source: Any, bounds: Bounds) -> None:
         raise InputError(
             f"{source.width} x {source.height} pixels in blocks of {block:.3g} are too many to "
             "read at once; choose a smaller "
-            "box, or tile or coarsen the raster first"
+            "`box`, or tile or coarsen the raster first"
         )
 
 

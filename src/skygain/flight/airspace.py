@@ -367,6 +367,6 @@ def blocked_home() -> InputError:
     """The error for UAVs that can no longer all return to their starts."""
     return InputError(
         "the UAVs block each other's way home, so no legal step is left; start them further apart, "
-        "give them more steps, "
+        "give more `steps`, "
         "or do not ask them to return"
     )

@@ -51,7 +51,7 @@ def cluster_start(
             return part[rng.choice(len(part), n_uavs, replace=False)] + (row, col)
     raise InputError(
         f"found no {side_m:g} m square with {n_uavs} connected free cells, one per UAV; use fewer "
-        "UAVs, start 'spread' or fly higher"
+        "`uavs`, `start=spread` or fly higher (`altitude_m`)"
     )
 
 
@@ -70,8 +70,8 @@ def spread_start(
     free = np.argwhere(scenario.flyable if among is None else scenario.flyable & among)
     if len(free) < n_uavs:
         raise InputError(
-            f"the map has {len(free)} free cells, fewer than {n_uavs} UAVs; use fewer UAVs or fly "
-            "higher"
+            f"the map has {len(free)} free cells, fewer than {n_uavs} UAVs; use fewer "
+            "`uavs` or fly higher (`altitude_m`)"
         )
     return free[rng.choice(len(free), n_uavs, replace=False)]
 
@@ -161,7 +161,8 @@ def start_cells(
     free = int(scenario.flyable.sum())
     if free < n_uavs:
         raise InputError(
-            f"the map has {free} free cells, fewer than {n_uavs} UAVs; use fewer UAVs or fly higher"
+            f"the map has {free} free cells, fewer than {n_uavs} UAVs; use fewer "
+            "`uavs` or fly higher (`altitude_m`)"
         )
     if among is not None and (scenario.flyable & among).sum() < n_uavs:
         among = None
@@ -174,4 +175,4 @@ def start_cells(
             return cluster_start(scenario, n_uavs, rng)
     if kind == "spread":
         return spread_start(scenario, n_uavs, rng, among)
-    raise InputError(f"unknown start {kind!r}; known: {', '.join(STARTS)}")
+    raise InputError(f"unknown `start` {kind!r}; known: {', '.join(STARTS)}")

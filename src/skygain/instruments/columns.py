@@ -369,8 +369,8 @@ def find_columns(
     geographic, metric = ("latitude", "longitude"), ("x", "y")
     if sum(any(r in found for r in pair) for pair in (geographic, metric, ("position",))) > 1:
         raise InputError(
-            "columns are named for the position in two ways; name one pair, latitude and "
-            "longitude, or x and y"
+            "columns are named for the position in two ways; name one pair with "
+            "`columns`, latitude and longitude, or x and y"
         )
     here = any(r in found for r in (*geographic, *metric, "position"))
     for role, name in (given or {}).items():

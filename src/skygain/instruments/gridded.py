@@ -195,7 +195,7 @@ def grid_for(
     spacing_m = 4.0 if spacing_m is None else spacing_m
     if not 0 < spacing_m < np.inf:
         raise InputError(
-            f"spacing_m must be a positive number of metres, got {spacing_m}; 4 is usual"
+            f"`spacing_m` must be a positive number of metres, got {spacing_m}; 4 is usual"
         )
     source = parse_crs(_WGS84 if recording.latlon is not None else recording.crs)
     points = recording.xy_m if recording.latlon is None else recording.latlon[:, ::-1]
@@ -293,7 +293,7 @@ def _metres(recording: Recording, crs: str | None) -> NDArray[np.float64]:
         if crs is None:
             raise InputError(
                 f"{recording.source} has latitudes, but the map has no coordinate reference "
-                "system; give the one the city is in (`crs`), or leave the city out"
+                "system; give the one the city is in (`crs`), or leave `city` out"
             )
         return Grid((1, 1), 1.0, crs=crs).xy_m_at_latlon(recording.latlon)
     assert recording.xy_m is not None

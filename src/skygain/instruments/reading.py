@@ -148,7 +148,7 @@ class _Ask:
             raise InputError(f"`eirp_dbm` must be a power in dBm, got {eirp}; 47 is 50 W")
         if self.quantity not in (None, "power", "gain", "loss"):
             raise InputError(
-                f"quantity is 'power', 'gain' or 'loss', got {self.quantity!r}; leave it out to "
+                f"`quantity` is 'power', 'gain' or 'loss', got {self.quantity!r}; leave it out to "
                 "tell it from the column's name"
             )
         low, high = (v if v is not None else d for v, d in zip(self.limits, (-1e9, 1e9),

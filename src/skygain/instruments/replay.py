@@ -136,7 +136,7 @@ def replay_scenario(
         raise InputError(
             f"every recorded cell of {gridded.source} is inside a building at {uav_altitude_m:g} "
             "m; "
-            "fly higher, or check the city's position"
+            "fly higher (`altitude_m`), or check the position of the `city`"
         )
     return Scenario(
         city,

@@ -20,7 +20,10 @@ from skygain.survey.mapping import RadioMap
 
 
 def chart_picture(
-    charts: Sequence[RadioMap], places: Mapping[str, NDArray[np.int64]], title: str
+    charts: Sequence[RadioMap],
+    places: Mapping[str, NDArray[np.int64]],
+    legs: Mapping[str, Sequence[NDArray[np.float64]]],
+    title: str,
 ) -> bytes:
     """Readings, map and uncertainty of each series, as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -46,6 +49,11 @@ def chart_picture(
         if len(cells):
             nx, ny = grid.xy_m(cells).T
             axes[2].plot(nx, ny, "o", mfc="none", mec="#56B4E9", ms=6, label="measure next")
+        for leg in legs.get(chart.label, ()):
+            axes[2].plot(*leg.T, color="#56B4E9", lw=2.5, solid_capstyle="round")
+        if len(legs.get(chart.label, ())):
+            axes[2].plot([], [], color="#56B4E9", lw=2.5, label="measure next")
+        if axes[2].get_legend_handles_labels()[0]:
             axes[2].legend(loc="upper right", fontsize=8)
         prefix = f"{chart.label}: " if chart.label else ""
         level = f"{quantity_of(chart)} in {unit_of(chart)}"

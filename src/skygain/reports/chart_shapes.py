@@ -89,39 +89,59 @@ def write_json(content: Mapping[str, Any], path: Path) -> None:
     path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
 
 
-def write_places(grid: Grid, places: Mapping[str, NDArray[np.int64]], folder: Path) -> None:
-    """Where to measure next: GeoJSON, and on a map with a place on Earth KML and GPX."""
-    marks: list[tuple[str, str, list[float]]] = []
+def write_places(
+    grid: Grid,
+    places: Mapping[str, NDArray[np.int64]],
+    legs: Mapping[str, Sequence[Array]],
+    folder: Path,
+) -> None:
+    """Where to measure next, places or legs of streets: GeoJSON, and on a map with a place on Earth
+    KML and GPX (waypoints, or a route for each leg)."""
+    marks: list[tuple[str, str, list[list[float]]]] = []
     for label, cells in places.items():
         points = _lines(grid, grid.xy_m(cells)) if len(cells) else []
-        marks += [(label, str(i), point) for i, point in enumerate(points, start=1)]
+        marks += [(label, str(i), [point]) for i, point in enumerate(points, start=1)]
+    for label, lines in legs.items():
+        marks += [(label, str(i), _lines(grid, line)) for i, line in enumerate(lines, start=1)]
     features = [
         {
             "type": "Feature",
             "properties": {"order": int(order)} | ({"series": label} if label else {}),
-            "geometry": {"type": "Point", "coordinates": point},
+            "geometry": {"type": "Point", "coordinates": points[0]}
+            if len(points) == 1
+            else {"type": "LineString", "coordinates": points},
         }
-        for label, order, point in marks
+        for label, order, points in marks
     ]
     write_json({"type": "FeatureCollection", "features": features}, folder / "next.geojson")
     if grid.crs is None:
         return
-    kml = "".join(
-        f"<Placemark><name>{xml_text(f'{label} {order}'.strip())}</name><Point><coordinates>"
-        f"{lon},{lat}</coordinates></Point></Placemark>\n"
-        for label, order, (lon, lat) in marks
-    )
     head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    names = [xml_text(f"{label} {order}".strip()) for label, order, _ in marks]
+    kml = "".join(
+        f"<Placemark><name>{name}</name>{_kml(points)}</Placemark>\n"
+        for name, (_, _, points) in zip(names, marks, strict=True)
+    )
     (folder / "next.kml").write_text(
         f'{head}<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n{kml}</Document></kml>\n',
         encoding="utf-8",
     )
-    gpx = "".join(
-        f'<wpt lat="{lat}" lon="{lon}"><name>{xml_text(f"{label} {order}".strip())}</name></wpt>\n'
-        for label, order, (lon, lat) in marks
-    )
+    gpx = "".join(_gpx(name, points) for name, (_, _, points) in zip(names, marks, strict=True))
     (folder / "next.gpx").write_text(
         f'{head}<gpx version="1.1" creator="Skygain" xmlns="http://www.topografix.com/GPX/1/1">\n'
         f"{gpx}</gpx>\n",
         encoding="utf-8",
     )
+
+
+def _kml(points: list[list[float]]) -> str:
+    kind = "Point" if len(points) == 1 else "LineString"
+    return f"<{kind}><coordinates>{' '.join(f'{x},{y}' for x, y in points)}</coordinates></{kind}>"
+
+
+def _gpx(name: str, points: list[list[float]]) -> str:
+    if len(points) == 1:
+        ((lon, lat),) = points
+        return f'<wpt lat="{lat}" lon="{lon}"><name>{name}</name></wpt>\n'
+    inner = "".join(f'<rtept lat="{lat}" lon="{lon}"/>' for lon, lat in points)
+    return f"<rte><name>{name}</name>{inner}</rte>\n"

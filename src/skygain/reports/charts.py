@@ -52,6 +52,7 @@ def write_charts(
     *,
     threshold: float | None = None,
     places: Mapping[str, NDArray[np.int64]] | None = None,
+    legs: Mapping[str, Sequence[NDArray[np.float64]]] | None = None,
     config: Mapping[str, Any] | None = None,
     title: str = "Map",
 ) -> list[str]:
@@ -62,6 +63,7 @@ def write_charts(
         out: the folder.
         threshold: level from which there is coverage.
         places: per label, ``[n, (row, col)]`` where to measure next.
+        legs: per label, ``[leg][point, (x, y)]`` along which to measure next, in metres.
         config: the settings of the run.
         title: headline of picture and page.
 
@@ -70,7 +72,7 @@ def write_charts(
     """
     for old in out.glob(f"{DRAFT}*"):  # of a run that was killed
         shutil.rmtree(old, ignore_errors=True)
-    draft, places = out / f"{DRAFT}{uuid4().hex[:8]}", places or {}
+    draft, places, legs = out / f"{DRAFT}{uuid4().hex[:8]}", places or {}, legs or {}
     notes: list[str] = []
     try:
         draft.mkdir()
@@ -81,9 +83,9 @@ def write_charts(
         write_json(contours(charts), draft / "contours.geojson")
         if threshold is not None:
             write_json(coverage(charts, threshold), draft / "coverage.geojson")
-        if any(len(cells) for cells in places.values()):
-            write_places(charts[0].grid, places, draft)
-        picture = chart_picture(charts, places, title)
+        if any(len(cells) for cells in (*places.values(), *legs.values())):
+            write_places(charts[0].grid, places, legs, draft)
+        picture = chart_picture(charts, places, legs, title)
         (draft / "map.png").write_bytes(picture)
         results = _results(charts, threshold, config, title)
         page = chart_page(charts, results, picture, title)

@@ -12,6 +12,7 @@ __all__ = [
     "Score",
     "chosen_predictor",
     "cross_validated",
+    "next_legs",
     "next_places",
     "radio_map",
 ]
@@ -316,30 +317,76 @@ def next_places(
     """
     wanted = chart.wanted
     allowed = (wanted if where is None else wanted & where) & ~chart.gridded.recorded
-    variance = np.where(wanted, np.nan_to_num(chart.posterior.variance_db2), 0.0)
-    share = _share(chart.correlation)
-    reach = len(share) // 2
-    gain = fftconvolve(variance, share, mode="same")
+    worth = _Worth(chart)
     picked: list[tuple[int, int]] = []
-    rows, cols = variance.shape
     for _ in range(min(n, int(allowed.sum()))):
-        score = np.where(allowed, gain, -np.inf)
+        score = np.where(allowed, worth.gain, -np.inf)
         row, col = (int(v) for v in np.unravel_index(int(score.argmax()), score.shape))
         picked.append((row, col))
         allowed[row, col] = False
+        worth.read(row, col)
+    return np.array(picked, dtype=np.int64).reshape(-1, 2)
+
+
+def next_legs(
+    chart: RadioMap, legs: Sequence[NDArray[np.float64]], n: int
+) -> list[NDArray[np.float64]]:
+    """The ``n`` legs ``[point, (x, y)]`` along which readings would teach most, best first, each
+    given the ones before: by the mean over a leg's cells of what a reading there would teach.
+
+    Args:
+        chart: the map so far.
+        legs: what can be walked, in metres of the map.
+        n: how many.
+    """
+    worth, grid = _Worth(chart), chart.grid
+    cells = [_along(leg, grid) for leg in legs]
+    cells = [c[chart.wanted[tuple(c.T)]] for c in cells]
+    left = {i for i, c in enumerate(cells) if len(c)}
+    picked = []
+    while left and len(picked) < n:
+        best = max(sorted(left), key=lambda i: float(worth.gain[tuple(cells[i].T)].mean()))
+        left.remove(best)
+        picked.append(legs[best])
+        for row, col in cells[best].tolist():
+            worth.read(row, col)
+    return picked
+
+
+def _along(leg: NDArray[np.float64], grid: Grid) -> NDArray[np.int64]:
+    """``[k, (row, col)]`` the cells of the map under a line."""
+    length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(leg, axis=0).T))]
+    steps = np.linspace(0.0, length[-1], max(2, int(2 * length[-1] / grid.spacing_m)))
+    points = np.column_stack([np.interp(steps, length, leg[:, k]) for k in (0, 1)])
+    cells = np.unique(grid.cells_at(points), axis=0)
+    return cells[grid.contains(cells)]
+
+
+class _Worth:
+    """What a reading in each cell would teach, given those that are to come first."""
+
+    def __init__(self, chart: RadioMap) -> None:
+        self.variance = np.where(chart.wanted, np.nan_to_num(chart.posterior.variance_db2), 0.0)
+        self.share = _share(chart.correlation)
+        self.reach = len(self.share) // 2
+        self.gain = fftconvolve(self.variance, self.share, mode="same")
+
+    def read(self, row: int, col: int) -> None:
+        """Take a reading in a cell for granted."""
+        rows, cols = self.variance.shape
+        reach, share = self.reach, self.share
         # The variance changes within reach of the cell, the score within twice that.
         near = _span(row, reach, rows), _span(col, reach, cols)
         offset = tuple(slice(s.start - c + reach, s.stop - c + reach) for s, c in
                        zip(near, (row, col), strict=True))  # fmt: skip
-        lost = variance[near] * share[offset]
-        variance[near] -= lost
+        lost = self.variance[near] * share[offset]
+        self.variance[near] -= lost
         wide = _span(row, 2 * reach, rows), _span(col, 2 * reach, cols)
         change = np.zeros((wide[0].stop - wide[0].start, wide[1].stop - wide[1].start))
         inner = tuple(slice(s.start - w.start, s.stop - w.start) for s, w in
                       zip(near, wide, strict=True))  # fmt: skip
         change[inner] = lost
-        gain[wide] -= fftconvolve(change, share, mode="same")
-    return np.array(picked, dtype=np.int64).reshape(-1, 2)
+        self.gain[wide] -= fftconvolve(change, share, mode="same")
 
 
 def _span(at: int, reach: int, size: int) -> slice:
