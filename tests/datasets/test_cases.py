@@ -97,7 +97,7 @@ def test_the_crop_is_a_window_of_the_link(dataset: ChannelDataset) -> None:
         ({"start": "nowhere"}, "known"),
         ({"max_surveys": 0}, "1 or more"),
         ({"crop_shape": (500, 96)}, "smaller crop"),
-        ({"crop_shape": (4, 4), "n_uavs": 17}, "fewer `uavs`"),
+        ({"crop_shape": (4, 4), "n_uavs": 17}, "fewer UAVs"),
     ],
 )
 def test_impossible_surveys_are_refused(dataset: ChannelDataset, options: dict, hint: str) -> None:
