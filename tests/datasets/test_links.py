@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skygain.datasets.links import joined, load_links
-from skygain.datasets.sample import SAMPLE
+from skygain.datasets.links import joined, load_links, origin_of
+from skygain.datasets.sample import SAMPLE, open_sample
+from skygain.datasets.writer import write_dataset
 from skygain.ground.errors import InputError
 
 
@@ -83,3 +84,19 @@ def test_damaged_training_data_is_one_line(tmp_path: Path) -> None:
         except InputError:
             refused += 1
     assert refused > 15
+
+
+def test_data_sets_of_different_models_are_not_used_together(tmp_path):
+    sample = open_sample()
+    rays = {**sample.attributes["rays"], "model_version": -1}
+    other = write_dataset(
+        tmp_path / "other.zarr.zip",
+        [sample.record(0)],
+        grid=sample.grid,
+        altitudes_m=sample.altitudes_m,
+        attributes={**sample.attributes, "rays": rays},
+    )
+    assert len(load_links(other, "T1")) == len(load_links(SAMPLE, "T1"))
+    assert origin_of(other) != origin_of(SAMPLE) == origin_of([SAMPLE, SAMPLE])
+    with pytest.raises(InputError, match=r"must come from one propagation model.*launch -1"):
+        load_links([SAMPLE, other], "T1")

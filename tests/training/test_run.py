@@ -7,6 +7,8 @@ import pytest
 import torch
 from torch import nn
 
+from skygain.datasets.sample import open_sample
+from skygain.datasets.writer import write_dataset
 from skygain.ground.errors import InputError
 from skygain.training.run import Run, one_cycle
 
@@ -53,6 +55,26 @@ def test_every_part_goes_on_as_if_nothing_had_happened(tmp_path):
     for kept in (one, two):
         stepped(kept)
     assert torch.equal(one["network"].weight, two["network"].weight)
+
+
+@dataclass(frozen=True)
+class Learning(Settings):
+    data: str = "sample"
+
+
+def test_a_run_does_not_go_on_with_data_of_another_model(tmp_path):
+    sample = open_sample()
+    other = write_dataset(
+        tmp_path / "other.zarr.zip",
+        [sample.record(0)],
+        grid=sample.grid,
+        altitudes_m=sample.altitudes_m,
+        attributes={**sample.attributes, "data_version": -1},
+    )
+    Run(tmp_path / "run", Learning(), parts(0)).save()
+    assert Run(tmp_path / "run", Learning(), parts(1)).resumed
+    with pytest.raises(InputError, match=r"learned from union by launch.* `data` is now .*-1"):
+        Run(tmp_path / "run", Learning(data=str(other)), parts(1))
 
 
 def test_checkpoints_of_another_kind_are_refused(tmp_path):

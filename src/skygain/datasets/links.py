@@ -8,7 +8,16 @@ and cut out of them.
 
 from __future__ import annotations
 
-__all__ = ["Links", "Paths", "View", "joined", "load_links", "read_links", "several_paths"]
+__all__ = [
+    "Links",
+    "Paths",
+    "View",
+    "joined",
+    "load_links",
+    "origin_of",
+    "read_links",
+    "several_paths",
+]
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skygain.datasets.layout import SPLITS
-from skygain.datasets.origin import demand_one_origin
+from skygain.datasets.origin import demand_one_origin, origin
 from skygain.datasets.sample import SAMPLE
 from skygain.datasets.store import ChannelDataset
 from skygain.grid import SYMMETRIES, random_corner, turned, turned_cells
@@ -153,8 +162,7 @@ def load_links(paths: Paths, split: str) -> Links:
             maps differ in size, or they come from different propagation models.
     """
     several = several_paths(paths)
-    if len(several) > 1:
-        demand_one_origin({path: ChannelDataset.open(path).attributes for path in several})
+    origin_of(several)
     found = [read_links(path, split) for path in several]
     links = [part for part in found if part is not None]
     if not links:
@@ -163,6 +171,17 @@ def load_links(paths: Paths, split: str) -> Links:
             f"{', '.join(SPLITS)}"
         )
     return links[0] if len(links) == 1 else joined(links)
+
+
+def origin_of(paths: Paths) -> str:
+    """The one propagation model that one data set or several come from, as text.
+
+    Raises:
+        InputError: a file is missing or is no data set, or they come from different models.
+    """
+    attributes = {path: ChannelDataset.open(path).attributes for path in several_paths(paths)}
+    demand_one_origin(attributes)
+    return origin(next(iter(attributes.values())))
 
 
 def several_paths(paths: Paths) -> list[Path]:

@@ -30,6 +30,7 @@ from scipy.optimize import minimize
 
 from skygain.datasets.crops import random_crop
 from skygain.datasets.link import Link
+from skygain.datasets.origin import origin
 from skygain.datasets.store import ChannelDataset
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
@@ -199,7 +200,7 @@ def train_kriging(
     """
     dataset = ChannelDataset.open(dataset_path)
     data = Path(dataset_path).name
-    of = {"data": data, **plain(config)}
+    of = {"data": data, "origin": origin(dataset.attributes), **plain(config)}
     run = Run(f"{out}.run", config, {}, report, of=of, trends={trend: {} for trend in TRENDS})
     if run.state["of"] != of:
         raise InputError(

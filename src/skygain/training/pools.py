@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skygain.datasets.links import Links, Paths, read_links, several_paths
+from skygain.datasets.links import Links, Paths, origin_of, read_links, several_paths
 from skygain.ground.errors import InputError
 from skygain.ground.executor import process_pool
 from skygain.networks.weights import runs_folder, weight_file
@@ -56,9 +56,11 @@ def flown_cities(
         report: hears of every city.
 
     Raises:
-        InputError: no data set has a link of the split.
+        InputError: no data set has a link of the split, or they come from different models.
     """
+    origin = origin_of(data)
     parts = [*(weight_file(name).read_bytes() for name in weights), repr(settings).encode()]
+    parts.append(origin.encode())
     state = hashlib.sha256(b"".join(parts)).hexdigest()[:12]
     files: list[Path] = []
     for path in several_paths(data):

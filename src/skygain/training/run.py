@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from skygain.datasets.links import origin_of
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write, unwritable, writable_folder
 from skygain.ground.strict_json import json_text, plain
@@ -78,13 +79,15 @@ class Run:
         ``config`` is a dataclass; its ``max_seconds``, if it has one, limits this call.
 
         Raises:
-            InputError: the folder cannot be written to, or its checkpoint is none or that of
-                another kind of run.
+            InputError: the folder cannot be written to, or its checkpoint is none, that of
+                another kind of run, or one that learned from another propagation model.
         """
         self.folder = writable_folder(folder)
         self.path = self.folder / "checkpoint.safetensors"
         self.config, self.parts, self.report = plain(config), parts, report
         self.step, self.scores, self.state = 0, dict[str, float](), state
+        data = getattr(config, "data", None)
+        self._origin = None if data is None else origin_of(data)
         self._limit = getattr(config, "max_seconds", math.inf)
         self._earlier = 0.0
         self.resumed = self.path.exists()
@@ -133,8 +136,12 @@ class Run:
             for key, value in _tensors(part).items()
         }
         meta = {"step": self.step, "scores": self.scores, "seconds": self.seconds}
-        save_checkpoint(self.path, tensors, {**self.state, **meta, "config": self.config})
+        save_checkpoint(self.path, tensors, {**self.state, **meta, **self._told})
         self._saved = time.monotonic()
+
+    @property
+    def _told(self) -> dict[str, Any]:
+        return {"config": self.config, "origin": self._origin}
 
     def result(self, samples: int) -> Result:
         """Where the run stands, after ``samples`` in all."""
@@ -153,6 +160,12 @@ class Run:
                 f"{self.path} belongs to another kind of run ({reason}); give the settings it was "
                 "begun with, or another folder as `out`"
             ) from error
+        learned = meta.get("origin")
+        if learned != self._origin:
+            raise InputError(
+                f"{self.path} learned from {learned or 'data of an unknown model'}, and `data` is "
+                f"now {self._origin}; give the data it was begun with, or another folder as `out`"
+            )
 
 
 def under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
