@@ -6,7 +6,6 @@ from __future__ import annotations
 __all__ = [
     "SPEED_OF_LIGHT_M_S",
     "check_altitudes",
-    "check_level",
     "check_frequency",
     "check_transmitters",
     "wavelength_m",
@@ -61,15 +60,6 @@ def check_transmitters(city: City, transmitters_m: ArrayLike) -> NDArray[np.floa
                 "height, for example 1.5"
             )
     return positions
-
-
-def check_level(city: City) -> None:
-    """`InputError` if the ground has relief, which rays are not sent over."""
-    if not city.is_level:
-        raise InputError(
-            "rays are sent over level ground only; give `propagation=over-rooftop`, or "
-            "`above_sea=True` with an altitude above sea level"
-        )
 
 
 def check_altitudes(altitudes_m: Sequence[float] | float) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ __all__ = [
     "clear_of_plane",
     "ground_mesh",
     "prism_mesh",
+    "risen",
 ]
 
 from collections.abc import Iterable
@@ -63,6 +64,24 @@ def city_buildings(city: City) -> tuple[Building, ...]:
     """The city's polygons, or boxes made from its height raster when it has none (see
     `buildings_of_raster`)."""
     return city.buildings or buildings_of_raster(city)
+
+
+def risen(city: City) -> tuple[Building, ...]:
+    """The city's buildings over relief, heights above its lowest ground.
+
+    A building with an outline stands on the mean of the ground at its corners; boxes of a raster
+    get the roofs of their cells. Walls reach down to the lowest ground.
+    """
+    lowest = float(city.ground_m.min())
+    if not city.buildings:
+        above = np.where(city.height_m > 0, city.surface_m - lowest, 0.0)
+        return buildings_of_raster(replace(city, height_m=above))
+    found = []
+    for b in city.buildings:
+        street = np.mean([city.ground_at(x, y) for x, y in b.footprint_m.tolist()]) - lowest
+        base = b.base_m + street if b.base_m > 0 else b.base_m
+        found.append(replace(b, height_m=float(b.height_m + street), base_m=float(base)))
+    return tuple(found)
 
 
 def clear_of_plane(

@@ -71,7 +71,6 @@ from skygain.ground.errors import InputError, require
 from skygain.propagation.base import (
     check_altitudes,
     check_frequency,
-    check_level,
     check_transmitters,
 )
 from skygain.propagation.diffraction import free_space_gain_db
@@ -191,7 +190,11 @@ def trace_gain_db(
         transmitters_per_call,
     )
     _check(settings)
-    check_level(city)
+    if not city.is_level:
+        raise InputError(
+            "Sionna RT is given level ground only; give `propagation=union`, whose rays go over "
+            "relief, or `above_sea=True` with an altitude above sea level"
+        )
     transmitters = check_transmitters(city, transmitters_m)
     altitudes = check_altitudes(altitudes_m)
     rt = load_backend()

@@ -9,7 +9,7 @@ cells, altitudes and antennas.
 
 from __future__ import annotations
 
-__all__ = ["Truth", "trace_truth", "union"]
+__all__ = ["RELIEF", "Truth", "trace_truth", "union"]
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from skygain.city import City
 from skygain.propagation.diffraction import over_rooftop_gain_db
 from skygain.propagation.launching.launch import Launching, launch_gain_db
+
+RELIEF = "over relief rays pass hills, walls, roofs and edges, but do not reflect at the ground"
+"""what a truth over relief leaves out"""
 
 
 @dataclass(frozen=True)

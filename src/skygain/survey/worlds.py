@@ -11,7 +11,7 @@ __all__ = ["World", "open_world", "simulated_instrument"]
 
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -289,10 +289,12 @@ def open_world(
     where = (city, np.array([position]), [altitude_m])
     seed, traced = int(rng.integers(2**31)), None
     if place.propagation == "union":
-        from skygain.propagation.truth import trace_truth
+        from skygain.propagation.truth import RELIEF, trace_truth
 
         truth = trace_truth(*where, frequency_hz=place.carrier_hz)
         gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
+        if not city.is_level:
+            reading = replace(reading, remarks=(*reading.remarks, RELIEF))
     else:
         gain_db = model(*where, frequency_hz=place.carrier_hz, seed=seed)[0, 0]
     window_city = city.cropped(row, col, window)

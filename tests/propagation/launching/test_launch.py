@@ -287,13 +287,6 @@ def test_a_corner_turns_the_ground_s_reflection_too() -> None:
     assert 0.05 < np.median(added) < 3.1
 
 
-def test_ground_with_relief_is_refused() -> None:
-    city = city_of(STREET)
-    slope = np.linspace(0, 9, 30, dtype=np.float32)[:, None] * np.ones(30, dtype=np.float32)
-    with pytest.raises(InputError, match="level ground only"):
-        launch_gain_db(replace(city, ground_m=slope), (10.0, 10.0, 1.5), [10.0], settings=QUICK)
-
-
 def test_more_places_in_a_cell_change_little() -> None:
     """Where the diffracted field is steep within a cell, at boundaries and faces, it is summed."""
     city = city_of(STREET)

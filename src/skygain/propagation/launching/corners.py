@@ -34,20 +34,20 @@ _NEAREST_M = 1e-2
 
 
 @numba.njit(cache=True, nogil=True)
-def _sees(edge, at, source, origin, along, walls, first, listed, tallest, frame):
+def _sees(edge, at, source, origin, along, walls, first, listed, tallest, frame, ground):
     x = origin[edge, 0] + at * along[edge, 0]
     y = origin[edge, 1] + at * along[edge, 1]
     z = origin[edge, 2] + at * along[edge, 2]
     wall = blocker(
-        source[0], source[1], source[2], x, y, z, -1, walls, first, listed, tallest, frame
+        source[0], source[1], source[2], x, y, z, -1, walls, first, listed, tallest, frame, ground
     )
-    return wall < 0
+    return wall == -1
 
 
 @numba.njit(cache=True, nogil=True)
 def edge_windows(source, origin, along, length, normals, world):
     """The parts of every edge that ``source`` sees: ``[edge, window, (from, to)]`` and how many."""
-    walls, _owner, first, listed, tallest, frame = world
+    walls, _owner, first, listed, tallest, frame, ground = world
     count = len(length)
     windows = np.zeros((count, WINDOWS, 2))
     found = np.zeros(count, dtype=np.int64)
@@ -64,7 +64,7 @@ def edge_windows(source, origin, along, length, normals, world):
         before = False
         for j in range(samples + 1):
             at = min(max(j * step, 1e-4), length[e] - 1e-4)
-            now = _sees(e, at, source, origin, along, walls, first, listed, tallest, frame)
+            now = _sees(e, at, source, origin, along, walls, first, listed, tallest, frame, ground)
             if j == 0:
                 if now:
                     windows[e, 0, 0] = 0.0
@@ -73,7 +73,17 @@ def edge_windows(source, origin, along, length, normals, world):
                 for _ in range(10):
                     middle = 0.5 * (low + high)
                     now_here = _sees(
-                        e, middle, source, origin, along, walls, first, listed, tallest, frame
+                        e,
+                        middle,
+                        source,
+                        origin,
+                        along,
+                        walls,
+                        first,
+                        listed,
+                        tallest,
+                        frame,
+                        ground,
                     )
                     if now_here == before:
                         low = middle
@@ -100,7 +110,7 @@ def edge_windows(source, origin, along, length, normals, world):
 @numba.njit(cache=True, nogil=True)
 def _reached(
     e, x, y, z, hint, source, origin, along, normals, windows, found, walls, first, listed,
-    tallest, frame,
+    tallest, frame, ground,
 ):  # fmt: skip
     """Place on edge ``e`` at which a ray diffracts to a point, or -1 if none gets there, and the
     wall that is in its way, or the ``hint`` where there is none."""
@@ -124,9 +134,9 @@ def _reached(
         return -1.0, hint
     wall = blocker(
         ox + at * ux, oy + at * uy, oz + at * uz, x, y, z, hint, walls, first, listed, tallest,
-        frame,
+        frame, ground,
     )  # fmt: skip
-    return (at, hint) if wall < 0 else (-1.0, wall)
+    return (at, hint) if wall == -1 else (-1.0, wall)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -187,7 +197,7 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
     """Mean power of a cell of which a part is lit, 0 if no place of two lattices is."""
     origin, along, normals, materials = edges
     theory, field, pattern, slabs = physics
-    walls, _owner, first, listed, tallest, frame = world
+    walls, _owner, first, listed, tallest, frame, ground = world
     e_in, e_out, incoming, outgoing = scratch
     hint = -1
     lit = np.empty(4 * points * points)
@@ -201,7 +211,7 @@ def _part(e, west, south, z, side, points, source, edges, windows, found, physic
                     y = south + ((part // 2) * half + a + 0.5) / (2 * half) * side
                     at, hint = _reached(
                         e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
-                        first, listed, tallest, frame,
+                        first, listed, tallest, frame, ground,
                     )  # fmt: skip
                     lit[a * half + b] = at
                     if at >= 0.0:
@@ -267,11 +277,12 @@ def diffract_edges(
     # tuples of arrays are taken apart here: in the loops that would cost more than the work
     origin, along, normals, materials = edges
     theory, field, pattern, slabs = physics
-    walls, _owner, first, listed, tallest, frame = world
+    walls, _owner, first, listed, tallest, frame, ground = world
     e_in, e_out = np.empty(3, dtype=np.complex128), np.empty(3, dtype=np.complex128)
     incoming, outgoing = np.empty(3), np.empty(3)
     scratch = (e_in, e_out, incoming, outgoing)
     rows, cols = out.shape[1], out.shape[2]
+    relief, off_r, off_c = len(ground) > 0, int(frame[3]), int(frame[4])
     corner_x, corner_y, side = lattice
     points = nodes.shape[1]
     sees = np.empty((rows, cols))
@@ -281,16 +292,16 @@ def diffract_edges(
         if found[e] == 0:
             continue
         for j in range(len(altitudes)):
-            z = altitudes[j]
             any_seen, hint = False, -1
             for row in range(rows):
                 for col in range(cols):
                     sees[row, col] = _INDOORS
                     if not indoors[j, row, col]:
                         x, y = corner_x + (col + 0.5) * side, corner_y + (row + 0.5) * side
+                        z = altitudes[j] + (ground[row + off_r, col + off_c] if relief else 0.0)
                         at, hint = _reached(
                             e, x, y, z, hint, source, origin, along, normals, windows, found, walls,
-                            first, listed, tallest, frame,
+                            first, listed, tallest, frame, ground,
                         )  # fmt: skip
                         sees[row, col] = at
                         any_seen |= at >= 0.0
@@ -315,6 +326,7 @@ def diffract_edges(
                         waiting += 1
                         continue
                     x, y = corner_x + (col + 0.5) * side, corner_y + (row + 0.5) * side
+                    z = altitudes[j] + (ground[row + off_r, col + off_c] if relief else 0.0)
                     power, apart = _power(
                         e, sees[row, col], x, y, z, source, origin, along, normals, materials,
                         theory, field, pattern, slabs, e_in, e_out, incoming, outgoing,
@@ -341,6 +353,7 @@ def diffract_edges(
                 row, col = queue[done] // cols, queue[done] % cols
                 done += 1
                 west, south = corner_x + col * side, corner_y + row * side
+                z = altitudes[j] + (ground[row + off_r, col + off_c] if relief else 0.0)
                 power = _part(
                     e, west, south, z, side, points, source, edges, windows, found, physics, world,
                     scratch,
@@ -358,14 +371,16 @@ def diffract_edges(
 @numba.njit(cache=True, nogil=True)
 def walled_cells(altitudes, shape, world):
     """``[altitude, row, col]`` cells with a wall as high as the altitude in them."""
-    walls, _owner, first, listed, tallest, frame = world
+    walls, _owner, first, listed, tallest, frame, ground = world
     found = np.zeros(shape, dtype=np.bool_)
     cols = tallest.shape[1]
     for j in range(shape[0]):
         for row in range(shape[1]):
             for col in range(shape[2]):
-                cell = (row + int(frame[3])) * cols + col + int(frame[4])
+                r, c = row + int(frame[3]), col + int(frame[4])
+                cell = r * cols + c
+                z = altitudes[j] + (ground[r, c] if len(ground) else 0.0)
                 for k in range(first[cell], first[cell + 1]):
                     wall = walls[listed[k]]
-                    found[j, row, col] |= wall[6] < altitudes[j] < wall[7]
+                    found[j, row, col] |= wall[6] < z < wall[7]
     return found

@@ -226,7 +226,8 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
     With a ``bend`` (see `bend_of`) the branch has come round a corner. With a ``book`` (see
     `skygain.propagation.launching.fans`) the corners within the width of the beam are noted.
     """
-    walls, owner, first, listed, tallest, frame = world
+    walls, owner, first, listed, tallest, frame, ground_m = world
+    relief, heights = len(ground_m) > 0, altitudes.copy()
     place, slopes, counts, met, kinds, entered, entered_s, lanes, numbers = scratch
     rows, cols = tallest.shape
     side = frame[2]
@@ -259,15 +260,16 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
             kinds[t, i] = kinds[b, i]
         for i in range(_ENTRIES):
             entered[t, i], entered_s[t, i] = entered[b, i], entered_s[b, i]
-        over_ground = roofed == 0 and w + 1 <= most
+        # over relief the lanes are those of one cell, and the ground stops rays
+        over_ground = roofed == 0 and w + 1 <= most and not relief
         k = _lanes(slopes[t], n, z, altitudes, over_ground, lanes, numbers)
-        if k == 0:
+        if k == 0 and not relief:
             continue
         begin, end = entry(x, y, dx, dy, frame, rows, cols)
         u = max(u, begin)
         if u >= end:
             continue
-        furthest = 0.0
+        furthest = FAR if relief else 0.0
         for i in range(k):
             furthest = max(furthest, lanes[i, 1])
         c = min(max(math.floor((x + u * dx - frame[0]) / side), 0), cols - 1)
@@ -288,6 +290,15 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
                 )
             stop = hit_u if hit >= 0 else leave
             row, col = r - off_r, c - off_c
+            if relief:
+                floor = ground_m[r, c]
+                away = max(s0 + 0.5 * (u + stop), _NEAREST_M)
+                n = outside(slopes[t], n, -FAR, (floor - z) / away)
+                if n == 0:
+                    break
+                for j in range(len(altitudes)):
+                    heights[j] = altitudes[j] + floor
+                k = _lanes(slopes[t], n, z, heights, False, lanes, numbers)
             if stop > u and 0 <= row < shape[0] and 0 <= col < shape[1]:
                 a0, b0 = s0 + u, s0 + stop
                 for i in range(k):
@@ -435,6 +446,8 @@ def follow(width, most, physics, altitudes, world, scratch, shape, bend, book, o
                     n = outside(slopes[t], n, low, high)
             if n == 0:
                 break
+            if relief:
+                continue
             k = _lanes(slopes[t], n, z, altitudes, over_ground, lanes, numbers)
             if k == 0:
                 break

@@ -42,10 +42,16 @@ class Geometry:
     frame: NDArray[np.float64]
     """south-west corner of the index (x, y), side of its cells, and the cells by which it is
     larger than the map in the south and in the west"""
+    ground_m: NDArray[np.float64]
+    """``[row, col]`` height of the ground over its lowest place, by index cell; empty where it is
+    level"""
 
 
 def city_geometry(city: City, buildings: Sequence[Building], materials: Sequence[int]) -> Geometry:
-    """The walls and edges of ``buildings`` (``materials`` has a number for each) over the map."""
+    """The walls and edges of ``buildings`` (``materials`` has a number for each) over the map.
+
+    Over relief all heights are above the lowest ground (`skygain.propagation.mesh.risen`).
+    """
     walls, owner = [], []
     outlines = [_outline(b) for b in buildings]
     for number, (building, segments) in enumerate(zip(buildings, outlines, strict=True)):
@@ -66,6 +72,7 @@ def city_geometry(city: City, buildings: Sequence[Building], materials: Sequence
         listed=listed,
         tallest_m=tallest,
         frame=frame,
+        ground_m=_ground(city, frame, shape),
     )
 
 
@@ -81,6 +88,16 @@ def _frame(city: City, wall: NDArray[np.float64]) -> tuple[NDArray[np.float64], 
         more = [int(n) for n in np.maximum(np.ceil(beyond / side + 1e-6), 0)]
     frame = np.array([west - more[0] * side, south - more[1] * side, side, more[1], more[0]])
     return frame, (rows + more[1] + more[3], cols + more[0] + more[2])
+
+
+def _ground(city: City, frame: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """The relief over the index; beyond the map that of the nearest cell."""
+    if city.is_level:
+        return np.zeros((0, 0))
+    rows, cols = city.grid.shape
+    row = np.clip(np.arange(shape[0]) - int(frame[3]), 0, rows - 1)
+    col = np.clip(np.arange(shape[1]) - int(frame[4]), 0, cols - 1)
+    return (city.ground_m - city.ground_m.min()).astype(float)[np.ix_(row, col)]
 
 
 def _outline(building: Building) -> NDArray[np.float64]:

@@ -22,7 +22,6 @@ from skygain.ground.errors import InputError
 from skygain.propagation.base import (
     check_altitudes,
     check_frequency,
-    check_level,
     check_transmitters,
     wavelength_m,
 )
@@ -46,7 +45,7 @@ from skygain.propagation.launching.materials import (
 )
 from skygain.propagation.launching.rays import launch_sector
 from skygain.propagation.launching.wedge import transition_table
-from skygain.propagation.mesh import city_buildings
+from skygain.propagation.mesh import city_buildings, risen
 
 MODEL_VERSION = 2
 """rises whenever the launcher's numbers change"""
@@ -185,6 +184,9 @@ def launch_gain_db(
 ) -> Launched:
     """Launch rays from each transmitter to each cell of the city's grid at each altitude.
 
+    Over relief the ground stops rays, but reflects none; walls, roofs and edges do all they do over
+    level ground.
+
     Args:
         city: polygons with their materials, or a height raster that boxes of concrete are made
             from.
@@ -199,11 +201,13 @@ def launch_gain_db(
     """
     settings, antenna = settings or Launching(), antenna or Antenna()
     check_frequency(settings.frequency_hz)
-    check_level(city)
     transmitters, altitudes = check_transmitters(city, transmitters_m), check_altitudes(altitudes_m)
-    buildings = city_buildings(city)
+    buildings = city_buildings(city) if city.is_level else risen(city)
     kinds = sorted({b.material for b in buildings} | {"concrete"})
     geometry = city_geometry(city, buildings, [kinds.index(b.material) for b in buildings])
+    if not city.is_level:
+        beneath = [city.ground_at(x, y) - city.ground_m.min() for x, y, _ in transmitters]
+        transmitters = transmitters + np.c_[np.zeros((len(beneath), 2)), beneath]
     _check_off_walls(geometry, transmitters)
     thickness = [WALL_THICKNESS_M] * len(kinds) + [GROUND_THICKNESS_M]
     slabs = slab_table([*kinds, settings.ground], thickness, settings.frequency_hz)
@@ -256,7 +260,7 @@ class _Launch:
     @property
     def _world(self) -> tuple[NDArray[Any], ...]:
         g = self.geometry
-        return (g.walls, g.owner, g.first, g.listed, g.tallest_m, g.frame)
+        return (g.walls, g.owner, g.first, g.listed, g.tallest_m, g.frame, g.ground_m)
 
     @property
     def _theory(self) -> tuple[float, NDArray[np.complex128], bool]:

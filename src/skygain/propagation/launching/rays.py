@@ -18,7 +18,7 @@ from skygain.propagation.launching.wedge import no_theory
 @numba.njit(cache=True, nogil=True)
 def signature(azimuth, source, depth, world):
     """The walls that the ray of an azimuth meets in plan, one after the other, as one number."""
-    walls, _owner, first, listed, tallest, frame = world
+    walls, _owner, first, listed, tallest, frame, _ground = world
     rows, cols = tallest.shape
     side = frame[2]
     x, y, dx, dy = source[0], source[1], math.cos(azimuth), math.sin(azimuth)

@@ -6,7 +6,7 @@ a hair before one that it enters at the same place, so that touching buildings a
 
 from __future__ import annotations
 
-__all__ = ["FAR", "blocker", "entry", "next_wall"]
+__all__ = ["FAR", "HILL", "blocker", "entry", "next_wall"]
 
 import math
 
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 FAR = 1e30
 """stands for infinity in compiled code"""
 
+HILL = -2
+"""what `blocker` says where the ground stands in the way"""
 _HAIR_M = 2e-6
 """by how much leaving comes before entering"""
 
@@ -129,8 +131,9 @@ def blocker(
     listed: NDArray[np.int64],
     tallest: NDArray[np.float64],
     frame: NDArray[np.float64],
+    ground: NDArray[np.float64],
 ) -> int:
-    """A wall that stands between two points, -1 if there is none.
+    """A wall that stands between two points, -1 if there is none, `HILL` if the ground does.
 
     Walls met within a millimetre of an end do not count, so that an end may lie on one. Walls
     are met from inside too: a line that enters through a roof is stopped where it would leave.
@@ -162,8 +165,11 @@ def blocker(
     next_x = (edge_x - x0) / dx if abs(dx) > 1e-15 else FAR
     next_y = (edge_y - y0) / dy if abs(dy) > 1e-15 else FAR
     u = begin
+    relief = len(ground) > 0
     while u < end:
         leave = min(next_x, next_y, end)
+        if relief and z0 + rise * 0.5 * (u + leave) < ground[r, c]:
+            return HILL
         lowest = z0 + rise * (u if rise > 0 else leave)
         if lowest < tallest[r, c]:
             cell = r * cols + c
