@@ -68,7 +68,7 @@ def test_a_hill_stands_in_the_way() -> None:
         up = bare.ground_m - bare.ground_at(x, y) + altitude - z
         away = np.sqrt((X - x) ** 2 + (Y - y) ** 2 + up**2)
         seen = np.isfinite(gain) & (away > 30)
-        assert np.percentile(np.abs(gain - free_space_gain_db(away))[seen], 99) < 0.1
+        assert np.percentile(np.abs(gain - free_space_gain_db(away))[seen], 99) < 0.3
 
 
 def test_the_truth_over_relief_is_finite_and_each_altitude_its_own() -> None:
