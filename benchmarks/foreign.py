@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.foreign_worlds import KINDS, WORLDS, ForeignWorld, drawn
+from benchmarks.foreign_worlds import MAPS, WORLDS, ForeignWorld, drawn
 from benchmarks.measured import Series, open_series
 from benchmarks.measured import drawn as split_cells
 from benchmarks.record import Table
@@ -26,12 +27,19 @@ KEYS = ("rmse_db", "error_ratio", "coverage90")
 
 
 @lru_cache(maxsize=2)
-def _world(name: str, data: Path, number: int) -> ForeignWorld:
-    return drawn(name, data, number)
+def _world(name: str, data: Path, split: str, number: int) -> ForeignWorld:
+    return drawn(name, data, split, number)
 
 
-def surveyed(world: ForeignWorld, method: MethodSpec, number: int) -> list[list[float]]:
-    """``[score][step]`` of one survey with three UAVs that start together."""
+def surveyed(
+    world: ForeignWorld, method: MethodSpec, number: int, steps: tuple[int, ...]
+) -> list[list[float]]:
+    """``[score][step]`` of one survey with three UAVs that start together.
+
+    ``adaptive`` is told when readings are gains in dB, as the command line tells it.
+    """
+    if method.predictor == "adaptive" and world.level == "gain":
+        method = replace(method, predictor="adaptive:level=gain")
     rng = np.random.default_rng([number, 7])
     found = flown(
         world.scenario,
@@ -39,8 +47,8 @@ def surveyed(world: ForeignWorld, method: MethodSpec, number: int) -> list[list[
         PerfectInstrument(world.truth_db),
         world.truth_db,
         start_cells("cluster", world.scenario, 3, rng),
-        steps=max(STEPS),
-        record_steps=STEPS,
+        steps=max(steps),
+        record_steps=steps,
         rng=rng,
     )
     return [found["scores"][key] for key in KEYS]
@@ -53,13 +61,15 @@ def surveyed(world: ForeignWorld, method: MethodSpec, number: int) -> list[list[
     planners=Option(("random-waypoint", "sequential-greedy"), "planners"),
     worlds=Option(tuple(name.replace(", ", " / ") for name in WORLDS), "kinds of worlds"),
     surveys=Option(2, "surveys of each kind"),
+    split=Option("T2", "split of the data set"),
+    steps=Option(STEPS, "steps at which scores are taken"),
 )
 def foreign(run: Run) -> list[Table]:
     """Predictors in worlds of another kind than those that networks were trained on.
 
-    DATA is a data set of version 1, whose split T2 gives the worlds at home, those with wrong maps,
-    sector antennas and random fields. The scenes of Sionna RT give the others. Traced worlds are
-    kept in the user's cache.
+    DATA is a data set of version 1, of which a split gives the worlds at home, those with wrong
+    maps, sector antennas and random fields. The scenes of Sionna RT give the others. Traced worlds
+    are kept in the user's cache.
     """
     o = run.options
     tables = []
@@ -71,21 +81,21 @@ def foreign(run: Run) -> list[Table]:
             for number in range(o.surveys):
                 for one in o.predictors:
                     found = run.once(
-                        (name, number, one, planner),
+                        (name, number, one, planner, o.split, *o.steps),
                         lambda n=name, k=number, p=one, by=planner: surveyed(
-                            _world(n, run.data, k), MethodSpec(p, by), k
+                            _world(n, run.data, o.split, k), MethodSpec(p, by), k, o.steps
                         ),
                     )
                     scores.setdefault(one, []).append(found)
             mean = {one: np.mean(values, axis=0) for one, values in scores.items()}
-            rows += _rows(name, KINDS.get(name, "wrong"), mean)
+            rows += _rows(name, MAPS.get(name, "right"), mean)
         title = (
             f"{planner}, {o.surveys} surveys of each kind, 96 × 96 cells of 4 m at 10 m, 3 UAVs, "
             "cluster start. RMSE in dB over unvisited outdoor cells, mean over surveys; in "
             "brackets against the best of "
-            f"{', '.join(RIVALS)}. GoF and cover of the 90 % interval at T = {STEPS[-1]}."
+            f"{', '.join(RIVALS)}. GoF and cover of the 90 % interval at T = {o.steps[-1]}."
         )
-        head = ["world", "map", "predictor", *(f"T = {t}" for t in STEPS), "GoF", "90 % cover"]
+        head = ["world", "map", "predictor", *(f"T = {t}" for t in o.steps), "GoF", "90 % cover"]
         tables.append(Table(title, head, rows, part=planner))
     return tables
 

@@ -6,7 +6,7 @@ in the user's cache.
 
 from __future__ import annotations
 
-__all__ = ["KINDS", "WORLDS", "ForeignWorld", "drawn"]
+__all__ = ["MAPS", "WORLDS", "ForeignWorld", "drawn"]
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -123,18 +123,16 @@ def _scenario(city: City, transmitter_m: NDArray[np.float64], **others: object) 
 
 
 @cache
-def _cases(data: Path) -> list[Case]:
-    return survey_cases(ChannelDataset.open(data), "T2", max_surveys=24)
+def _cases(data: Path, split: str) -> list[Case]:
+    return survey_cases(ChannelDataset.open(data), split, max_surveys=24)
 
 
-def _home(data: Path, number: int) -> ForeignWorld:
-    case = _cases(data)[number]
+def _home(case: Case, number: int) -> ForeignWorld:
     return ForeignWorld(case.scenario(), case.truth_db, "gain")
 
 
-def _missing(data: Path, number: int) -> ForeignWorld:
+def _missing(case: Case, number: int) -> ForeignWorld:
     """Buildings are lacking whole."""
-    case = _cases(data)[number]
     real, rng = case.scenario(), np.random.default_rng([number, 3])
     height = np.array(real.city.height_m)
     parts, count = ndimage.label(height > 0)
@@ -145,9 +143,8 @@ def _missing(data: Path, number: int) -> ForeignWorld:
     return ForeignWorld(scenario, case.truth_db, "gain")
 
 
-def _sector(data: Path, number: int) -> ForeignWorld:
+def _sector(case: Case, number: int) -> ForeignWorld:
     """A sector antenna on a mast on open ground, and readings in dBm."""
-    case = _cases(data)[number]
     city, rng = case.crop.city, np.random.default_rng([number, 4])
     open_cells = np.argwhere(city.height_m <= 0)
     x, y = city.grid.xy_m(open_cells[rng.integers(len(open_cells))])
@@ -171,32 +168,31 @@ def _sector(data: Path, number: int) -> ForeignWorld:
     return ForeignWorld(_scenario(city, at), found + EIRP_DBM, "power")
 
 
-def _field(data: Path, number: int) -> ForeignWorld:
-    case = _cases(data)[number]
+def _field(case: Case, number: int) -> ForeignWorld:
     scenario, rng = case.scenario(), np.random.default_rng([number, 5])
     gain = gudmundson_gain_db(scenario.grid, scenario.transmitter_m, ALTITUDE_M, rng)
     return ForeignWorld(scenario, gain.astype(np.float32), "gain")
 
 
-WORLDS: dict[str, Callable[[Path, int], ForeignWorld]] = {
+AT_HOME: dict[str, Callable[[Case, int], ForeignWorld]] = {
     "home": _home,
-    **{
-        f"{scene}, {how}": lambda data, k, s=scene, r=rays: _scene_world(s, k, r)
-        for how, rays in (("launched", False), ("Sionna RT", True))
-        for scene in SCENES
-    },
     "buildings missing": _missing,
     "sector, dBm": _sector,
     "gudmundson": _field,
 }
-"""by name"""
-KINDS = {
-    "home": "right",
-    **{name: "right" for name in WORLDS if "launched" in name},
-    **{name: "other" for name in WORLDS if "Sionna" in name},
-}
+"""kinds of worlds made of a survey case of the data set"""
+WORLDS = (
+    *(f"{scene}, {how}" for how in ("launched", "Sionna RT") for scene in SCENES),
+    *AT_HOME,
+)
+"""names of all kinds"""
+MAPS = {"buildings missing": "wrong", "gudmundson": "of no use"}
+"""of what worth the predictor's map is, where it is not right"""
 
 
-def drawn(name: str, data: Path, number: int) -> ForeignWorld:
+def drawn(name: str, data: Path, split: str, number: int) -> ForeignWorld:
     """World ``number`` of a kind."""
-    return WORLDS[name](data, number)
+    if name in AT_HOME:
+        return AT_HOME[name](_cases(data, split)[number], number)
+    scene, how = name.split(", ")
+    return _scene_world(scene, number, how == "Sionna RT")

@@ -102,6 +102,7 @@ def test_a_foreign_map_costs_little(rng: np.random.Generator) -> None:
 def test_neighbouring_readings_count_once() -> None:
     votes = Votes.none(1).with_forecast(
         Forecast.of(
+            OPEN,
             np.array([40 * 20 + 20]),
             [Posterior(np.full(GRID.shape, -100.0), np.full(GRID.shape, 4.0))],
         )

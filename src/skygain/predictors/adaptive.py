@@ -101,7 +101,7 @@ class AdaptivePredictor(Predictor):
     def memory_bytes(self, cells: int, readings: int) -> float:
         """That of the methods, and of what each foretold."""
         held = sum(method.memory_bytes(cells, readings) for method in self.methods)
-        return held + (16.0 + 4.0 * readings) * len(self.methods) * cells
+        return held + (160.0 + 4.0 * readings) * len(self.methods) * cells
 
     def begin(self, scenario: Scenario) -> AdaptiveBelief:
         """The beliefs of all methods before the first measurement."""
@@ -115,6 +115,7 @@ class AdaptivePredictor(Predictor):
             beliefs=beliefs,
             offset_db=(0.0,) * len(beliefs),
             drifts=(None,) * drifts,
+            late=(Measurements.none(),) * (len(beliefs) + drifts),
             votes=Votes.none(len(beliefs) + drifts),
             readings=Readings(nothing.astype(np.int64), nothing, nothing),
             fitted_at=0,
@@ -136,6 +137,9 @@ class AdaptiveBelief(Belief):
     """what is taken off the readings before each method reads them"""
     drifts: tuple[DriftKriging | None, ...]
     """Kriging around the map of each operator; ``None`` before the first fit"""
+    late: tuple[Measurements, ...]
+    """what each method, then each drift, has yet to take in: one that does not count takes its
+    readings when it is asked for a forecast"""
     votes: Votes
     """of the methods, then of the drifts"""
     readings: Readings
@@ -167,42 +171,26 @@ class AdaptiveBelief(Belief):
     @cached_property
     def _posterior(self) -> JointMixture:
         weight = self.weight
-        every = self._posteriors
-        if self.drifts and any(drift is None for drift in self.drifts):
-            weight = weight[: len(every)]
-        kept = np.flatnonzero(weight >= LEAST_WEIGHT * weight.max())
-        return mixed(
-            [every[k] for k in kept],
-            weight[kept],
-            self.votes.factor[kept],
-            self.scenario.grid.spacing_m,
-        )
+        there = [True] * len(self.beliefs) + [drift is not None for drift in self.drifts]
+        kept = np.flatnonzero((weight >= LEAST_WEIGHT * weight.max()) & there)
+        every = [self._posterior_of(int(k)) for k in kept]
+        spacing_m = self.scenario.grid.spacing_m
+        return mixed(every, weight[kept], self.votes.factor[kept], spacing_m)
 
-    @cached_property
-    def _posteriors(self) -> list[Posterior]:
-        """Of the methods, then of the drifts that are there, at the level of the readings."""
-        plain = [belief.posterior() for belief in self.beliefs]
-        moved = [
-            replace(p, mean_db=p.mean_db + offset) if offset else p
-            for p, offset in zip(plain, self.offset_db, strict=True)
-        ]
-        return [*moved, *(drift.posterior() for drift in self.drifts if drift is not None)]
+    def _posterior_of(self, k: int) -> Posterior:
+        """Of method ``k``, or of the drifts that follow them, at the level of the readings."""
+        if k >= len(self.beliefs):
+            drift = self.drifts[k - len(self.beliefs)]
+            assert drift is not None
+            return drift.posterior()
+        posterior, offset = self.beliefs[k].posterior(), self.offset_db[k]
+        return replace(posterior, mean_db=posterior.mean_db + offset) if offset else posterior
 
     def _grown(self, news: Measurements, flat: NDArray[np.int64]) -> AdaptiveBelief:
         """With a few readings more."""
-        grid, noise = self.scenario.grid, news.noise_std_db**2
-        order = np.lexsort((news.gain_db, flat))
-        plain = order[~news.censored[order]]
-        coming = combined(flat[plain], news.gain_db[plain], noise[plain])
-        exact = self.readings.cells[self.readings.noise_db2 == 0]
-        fresh = ~np.isin(coming.cells, exact)
+        coming, old = _plain(news, flat), self.readings
+        fresh = ~np.isin(coming.cells, old.cells[old.noise_db2 == 0])
         coming = Readings(coming.cells[fresh], coming.gain_db[fresh], coming.noise_db2[fresh])
-        votes = self.votes.counted(grid, coming)
-        drifts = [None if drift is None else drift.updated(coming) for drift in self.drifts]
-        for i in np.flatnonzero(news.censored):
-            reading = int(flat[i]), float(news.gain_db[i]), float(noise[i])
-            drifts = [None if d is None else d.with_floor_reading(*reading) for d in drifts]
-        old = self.readings
         both = combined(
             np.append(old.cells, coming.cells),
             np.append(old.gain_db, coming.gain_db),
@@ -211,33 +199,50 @@ class AdaptiveBelief(Belief):
         grown = replace(
             self,
             measurements=self.measurements.extended(news),
-            votes=votes,
-            drifts=tuple(drifts),
+            votes=self.votes.counted(self.scenario.grid, coming),
             readings=both,
+            late=tuple(late.extended(news) for late in self.late),
         )
-        return grown._listened(news)._fitted()._foretelling()
+        return grown._levelled()._caught_up()._fitted()._foretelling()
 
-    def _listened(self, news: Measurements) -> AdaptiveBelief:
-        """The methods with the readings ``news``, at a level that is looked for now and then."""
+    def _levelled(self) -> AdaptiveBelief:
+        """With the level looked for, when there are enough more readings."""
         size = len(self.readings)
-        looking = self.predictor.level == "any" and size >= LEVEL_GROWTH * self.levelled_at
-        beliefs, offsets = list(self.beliefs), list(self.offset_db)
+        if self.predictor.level == "gain" or size < LEVEL_GROWTH * self.levelled_at:
+            return self
+        beliefs, offsets, late = list(self.beliefs), list(self.offset_db), list(self.late)
         for k, method in enumerate(self.predictor.methods):
-            anew = False
-            if looking and method.needs_gain:
-                level = self._level_db(beliefs[k], offsets[k])
-                anew = self.levelled_at == 0 or abs(level - offsets[k]) > LEVEL_MOVE_DB
-            if anew:
-                offsets[k] = level
+            if not method.needs_gain:
+                continue
+            level = self._level_db(beliefs[k], offsets[k])
+            if self.levelled_at == 0 or abs(level - offsets[k]) > LEVEL_MOVE_DB:
+                offsets[k], late[k] = level, Measurements.none()
                 beliefs[k] = method.begin(self.scenario).updated(_moved(self.measurements, level))
-            else:
-                beliefs[k] = beliefs[k].updated(_moved(news, offsets[k]))
         return replace(
             self,
             beliefs=tuple(beliefs),
             offset_db=tuple(offsets),
-            levelled_at=size if looking else self.levelled_at,
+            late=tuple(late),
+            levelled_at=size,
         )
+
+    def _caught_up(self) -> AdaptiveBelief:
+        """With the late readings taken in by every method that counts, or by all where a fit or a
+        forecast is due."""
+        size, n = len(self.readings), len(self.beliefs)
+        wanted = self.weight >= LEAST_WEIGHT * self.weight.max()
+        if fit_is_due(size, self.fitted_at) or self.votes.due(size):
+            wanted[:] = True
+        beliefs, drifts, late = list(self.beliefs), list(self.drifts), list(self.late)
+        for k, news in enumerate(late):
+            if not wanted[k] and not (k < n and isinstance(beliefs[k], OperatorBelief)):
+                continue
+            late[k] = Measurements.none()
+            if k < n:
+                beliefs[k] = beliefs[k].updated(_moved(news, self.offset_db[k]))
+            elif (drift := drifts[k - n]) is not None:
+                drifts[k - n] = _taken(drift, news)
+        return replace(self, beliefs=tuple(beliefs), drifts=tuple(drifts), late=tuple(late))
 
     def _level_db(self, belief: Belief, offset_db: float) -> float:
         """What to take off the readings."""
@@ -272,8 +277,27 @@ class AdaptiveBelief(Belief):
         size = len(self.readings)
         if not size or not self.votes.due(size) or None in self.drifts:
             return self
-        forecast = Forecast.of(self.readings.cells, self._posteriors)
+        every = [self._posterior_of(k) for k in range(len(self.late))]
+        forecast = Forecast.of(self.scenario, self.readings.cells, every)
         return replace(self, votes=self.votes.with_forecast(forecast))
+
+
+def _plain(measurements: Measurements, flat: NDArray[np.int64]) -> Readings:
+    """Those that are not at the receiver's floor, one per cell, in an order of their own."""
+    order = np.lexsort((measurements.gain_db, flat))
+    order = order[~measurements.censored[order]]
+    noise_db2 = measurements.noise_std_db[order] ** 2
+    return combined(flat[order], measurements.gain_db[order], noise_db2)
+
+
+def _taken(drift: DriftKriging, news: Measurements) -> DriftKriging:
+    """``drift`` with ``news``."""
+    flat = drift.scenario.grid.flat(news.cell)
+    drift = drift.updated(_plain(news, flat))
+    for i in np.flatnonzero(news.censored):
+        noise_db2 = float(news.noise_std_db[i] ** 2)
+        drift = drift.with_floor_reading(int(flat[i]), float(news.gain_db[i]), noise_db2)
+    return drift
 
 
 def _moved(measurements: Measurements, offset_db: float) -> Measurements:

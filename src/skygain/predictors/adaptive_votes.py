@@ -2,10 +2,12 @@
 
 A forecast is what the beliefs said when the survey was less than half as large. Every reading that
 comes is held against one, so a belief is judged by what it said of places where nobody had been.
-Readings within `AWAY_M` of those that the forecast knew say little about the rest of the map and do
-not count; neighbouring ones say the same thing twice, and of those within `APART_M` of each other
-one counts. With z = (y − m)/√(a v) the score of a belief is log t₅(z) − ½ log(a v), summed
-with the weight of older forecasts falling by `MEMORY` each. Its variance is multiplied by
+Readings near those that the forecast knew say little about the rest of the map and do not count,
+and of neighbours, which say the same thing twice, one counts. Near is what lies within `NEAR_M`, or
+within half the mean distance of a cell from the nearest reading where readings are that dense.
+
+With z = (y − m)/√(a v) the score of a belief is log t₅(z) − ½ log(a v), summed with the weight of
+older forecasts falling by `MEMORY` each. Its variance is multiplied by
 
     a = (n₀ + Σ z₀²) / (n₀ + n),   z₀ = (y − m)/√v,   n₀ = `PRIOR_VOTES`.
 """
@@ -19,10 +21,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from skygain.grid import Grid
 from skygain.posterior import Posterior
 from skygain.predictors.interpolators.readings import Readings
+from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
@@ -30,12 +34,11 @@ GROWTH = 1.3
 """a forecast is made when there are this many times as many readings as at the last one"""
 LAG = 2.5
 """readings are held against the newest forecast from when there were this many times fewer"""
-AWAY_M = 32.0
-"""least distance of a reading that counts from those that the forecast knew"""
-SECOND_LOG_ODDS = -1.0
+NEAR_M = 32.0
+"""least distance between a reading that counts and those that the forecast knew, and between two
+that count"""
+SECOND_LOG_ODDS = -3.0
 """log odds of the second and every further belief against the first, before any reading"""
-APART_M = 30.0
-"""distance between readings that count"""
 MEMORY = 0.85
 """what a score keeps of its weight when a new forecast is made"""
 FREEDOM = 5.0
@@ -54,14 +57,23 @@ class Forecast:
 
     cells: NDArray[np.int64]
     """raveled cells there were readings of"""
+    near_m: float
+    """distance up to which another reading is near one of these"""
     mean_db: NDArray[np.float32]
     """``[belief, P]``"""
     variance_db2: NDArray[np.float32]
     """``[belief, P]``"""
 
     @classmethod
-    def of(cls, cells: NDArray[np.int64], posteriors: Sequence[Posterior]) -> Forecast:
-        """The forecast after readings of ``cells``."""
+    def of(
+        cls, scenario: Scenario, cells: NDArray[np.int64], posteriors: Sequence[Posterior]
+    ) -> Forecast:
+        """The forecast after readings of raveled ``cells``."""
+        unread = np.ones(scenario.grid.size, dtype=bool)
+        unread[cells] = False
+        away = ndimage.distance_transform_edt(unread.reshape(scenario.grid.shape))
+        away_m = float(away[scenario.outdoor].mean()) * scenario.grid.spacing_m
+        near_m = min(NEAR_M, away_m / 2)
         mean, variance = (
             np.array([p.ravel() for p in maps], dtype=np.float32)
             for maps in (
@@ -69,7 +81,7 @@ class Forecast:
                 [p.variance_db2 for p in posteriors],
             )
         )
-        return cls(cells, mean, variance)
+        return cls(cells, near_m, mean, variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +126,7 @@ class Votes:
         if not self.forecasts or not len(readings):
             return self
         forecast = self.forecasts[0]
-        chosen, heard = _telling(grid, readings.cells, forecast.cells, self.heard)
+        chosen, heard = _telling(grid, readings.cells, forecast, self.heard)
         if not chosen.any():
             return self
         cells, noise = readings.cells[chosen], readings.noise_db2[chosen]
@@ -150,20 +162,20 @@ class Votes:
 def _telling(
     grid: Grid,
     cells: NDArray[np.int64],
-    known: NDArray[np.int64],
+    forecast: Forecast,
     heard: NDArray[np.int64],
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """``[n]`` which of ``cells[n]`` lie away from those known and apart from those heard and from
-    each other, and all heard now."""
+    """``[n]`` which of ``cells[n]`` lie away from those the forecast knew, those heard and each
+    other, and all heard now."""
     at, before, listed = (
-        np.stack(np.divmod(some, grid.shape[1]), axis=-1) for some in (cells, known, heard)
+        np.stack(np.divmod(some, grid.shape[1]), axis=-1) for some in (cells, forecast.cells, heard)
     )
     gap2 = np.sum((at[:, None] - before[None]) ** 2, axis=-1).min(axis=1, initial=np.iinfo(int).max)
-    chosen = gap2 * grid.spacing_m**2 >= AWAY_M**2
-    taken, apart2 = listed.tolist(), (APART_M / grid.spacing_m) ** 2
+    near2 = (forecast.near_m / grid.spacing_m) ** 2
+    chosen, taken = gap2 >= near2, listed.tolist()
     for i in np.flatnonzero(chosen):
         row, col = at[i].tolist()
-        chosen[i] = all((row - r) ** 2 + (col - c) ** 2 >= apart2 for r, c in taken)
+        chosen[i] = all((row - r) ** 2 + (col - c) ** 2 >= near2 for r, c in taken)
         if chosen[i]:
             taken.append([row, col])
     return chosen, np.append(heard, cells[chosen])

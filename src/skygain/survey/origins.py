@@ -22,6 +22,8 @@ def method_files(method: MethodSpec) -> dict[str, str]:
 
     >>> sorted(method_files(MethodSpec("kriging", "dqn")))
     ['dqn.onnx', 'dqn.safetensors']
+    >>> "operator.onnx" in method_files(MethodSpec("adaptive", "lawnmower"))
+    True
     """
     found: set[Path] = set()
     for text, made in (
@@ -38,6 +40,7 @@ def _files(values: list[Any]) -> Iterator[Path]:
             yield from _named(value)
         elif dataclasses.is_dataclass(value) and not isinstance(value, type):
             yield from _files([getattr(value, field.name) for field in dataclasses.fields(value)])
+            yield from _files(list(getattr(value, "methods", ())))  # what it is made of
         if not type(value).__module__.startswith(("skygain.", "builtins", "pathlib")):
             source = inspect.getsourcefile(type(value))
             if source is not None:
