@@ -1,9 +1,9 @@
-"""Take the pictures of the report in docs/images, with Debian's Chromium.
+"""Take the pictures of the pages in docs/images, with Debian's Chromium.
 
     python docs/screenshots.py [FOLDER]
 
-FOLDER holds a flown survey; without it the demo is flown. A laptop's window is 1366 × 768, a
-phone's 390 × 844, paper is A4.
+FOLDER holds a flown survey; without it the demo is flown. The example's campaign is mapped. A
+laptop's window is 1366 × 768, a phone's 390 × 844, paper is A4.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ from pathlib import Path
 from PIL import Image
 
 IMAGES = Path(__file__).parent / "images"
-CITY = "sample:9"
+DATA = Path(__file__).parents[1] / "examples" / "data"
+FLY = ("survey", "--city", "sample:9")
+MAP = (
+    *("map", str(DATA / "campaign.csv"), "--by", "pci", "--city", str(DATA / "buildings.geojson")),
+    *("--threshold", "-105", "--next", "5"),
+)
 WINDOWS = {
     "report_laptop": ((1366, 768), ""),
     "report_phone": ((390, 844), "#step=100&view=std"),
@@ -70,16 +75,24 @@ def paper(page: Path) -> Image.Image:
             return taken.convert("RGB")
 
 
+def made(words: tuple[str, ...], out: Path) -> Path:
+    """The folder that a command leaves."""
+    subprocess.run([sys.executable, "-m", "skygain", *words, "--out", str(out)], check=True)
+    return out
+
+
 def main() -> None:
     """Write all pictures."""
     with tempfile.TemporaryDirectory() as folder:
         flown = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(folder) / "demo"
         if len(sys.argv) < 2:
-            fly = [sys.executable, "-m", "skygain", "survey", "--city", CITY, "--out", str(flown)]
-            subprocess.run(fly, check=True)
+            made(FLY, flown)
         page = flown / "report.html"
         taken = {name: window(page, *how) for name, how in WINDOWS.items()}
         taken["report_a4"] = paper(page)
+        mapped = made(MAP, Path(folder) / "map") / "report.html"
+        taken["map_laptop"] = window(mapped, (1366, 768), "")
+        taken["map_phone"] = window(mapped, (390, 844), "")
     for name, picture in taken.items():
         picture.save(IMAGES / f"{name}.png", optimize=True)
         print(f"{name}.png: {(IMAGES / f'{name}.png').stat().st_size // 1024} KiB")

@@ -5,6 +5,7 @@ from __future__ import annotations
 __all__ = [
     "INK",
     "SOFT",
+    "building_shades",
     "colour_bar",
     "extent_m",
     "frame_axes",
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skygain.grid import Grid
 from skygain.ground.files import atomic_write
@@ -128,6 +130,20 @@ def colour_bar(figure: Figure, image: Any, axes: Axes, text: str, extend: str = 
     bar.set_label(text, color=SOFT)
     bar.outline.set_edgecolor("#B8C0C8")
     bar.ax.tick_params(color="#B8C0C8", labelcolor=SOFT, labelsize=9)
+
+
+def building_shades(
+    height_m: NDArray[np.floating], indoor: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """``[row, col, rgba]`` grey over the cells that are indoors, darker where the building is
+    higher; clear elsewhere."""
+    shade = np.zeros((*height_m.shape, 4))
+    if indoor.any():
+        low, high = float(height_m[indoor].min()), float(height_m[indoor].max())
+        rank = (height_m - low) / max(high - low, 1e-9)
+        shade[..., :3] = (0.80 - 0.40 * np.clip(rank, 0, 1))[..., None]
+        shade[..., 3] = indoor
+    return shade
 
 
 def extent_m(grid: Grid) -> tuple[float, float, float, float]:

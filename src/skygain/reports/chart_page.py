@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import skygain
-from skygain.reports.axes import INK, colour_bar, extent_m, frame_axes, scale_and_north
+from skygain.reports.axes import (
+    INK,
+    building_shades,
+    colour_bar,
+    extent_m,
+    frame_axes,
+    scale_and_north,
+)
 from skygain.reports.chart_words import level_limits, quantity_of, unit_of
 from skygain.survey.mapping import RadioMap
 
@@ -40,9 +47,12 @@ def chart_picture(
         known = chart.gridded.level_db
         low, high = level_limits(chart)
         levels = {"vmin": low, "vmax": high, "cmap": "viridis"}
-        x, y = grid.xy_m(chart.gridded.cell).T
-        dots = axes[0].scatter(x, y, c=known, s=4, linewidths=0, rasterized=True, **levels)
+        city, x, y = chart.scenario.city, *grid.xy_m(chart.gridded.cell).T
         common = {"origin": "lower", "extent": extent_m(grid)}
+        built = city.obstructed(chart.scenario.prediction_altitude_m)
+        for panel in axes:
+            panel.imshow(building_shades(city.height_m, built), zorder=0.5, **common)
+        dots = axes[0].scatter(x, y, c=known, s=4, linewidths=0, rasterized=True, **levels)
         mean = axes[1].imshow(chart.mean_db, **common, **levels)
         std = axes[2].imshow(chart.std_db, **common, cmap="magma", vmin=0)
         cells = places.get(chart.label, np.empty((0, 2), dtype=int))
@@ -84,14 +94,19 @@ def chart_page(
     style = (
         "body{font:16px/1.5 system-ui,sans-serif;max-width:1200px;margin:2rem auto;padding:0 1rem;"
         "color:#1f2933}img{max-width:100%}table{border-collapse:collapse}td,th{padding:.2rem .8rem;"
-        "text-align:left;border-bottom:1px solid #d8dde3}td+td{text-align:right}"
+        "text-align:left;border-bottom:1px solid #d8dde3}td+td{text-align:right;white-space:nowrap}"
+        # on a phone the maps are as wide as they need be, and are moved by hand
+        "@media screen and (max-width:700px){body{margin:.6rem auto}.maps{overflow-x:auto}"
+        ".maps img{max-width:none;width:1150px}td,th{padding:.2rem .35rem;font-size:.85rem}}"
         "@page{size:A4 landscape;margin:12mm}@media print{body{margin:0;max-width:none}"
         "img,table{break-inside:avoid}}"
     )
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        f'content="width=device-width, initial-scale=1"><title>{html.escape(title)}'
         f"</title><style>{style}</style></head><body>\n"
-        f'<img alt="Readings, map and uncertainty" src="data:image/png;base64,{image}">\n'
+        '<div class="maps"><img alt="Readings, map and uncertainty" '
+        f'src="data:image/png;base64,{image}"></div>\n'
         + "\n".join(parts)
         + f"\n<p>Skygain {html.escape(skygain.__version__)}</p></body></html>\n"
     )

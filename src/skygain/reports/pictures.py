@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from skygain.reports.axes import (
     INK,
+    building_shades,
     colour_bar,
     extent_m,
     frame_axes,
@@ -209,7 +210,7 @@ def _map(
         values, origin="lower", extent=extent_m(outcome.grid), interpolation="nearest", **colours
     )
     axes.imshow(
-        _building_shades(outcome),
+        building_shades(outcome.scenario.city.height_m, ~outcome.scenario.outdoor),
         origin="lower",
         extent=extent_m(outcome.grid),
         interpolation="nearest",
@@ -219,20 +220,6 @@ def _map(
         for colour, wide, alpha in (("white", 1.3, 0.4), (_ROOF, 0.6, 0.9)):
             _outline(axes, outcome, low, colors=colour, linewidths=wide, alpha=alpha)
     return image
-
-
-def _building_shades(outcome: Outcome) -> NDArray[np.float64]:
-    """``[row, col, rgba]`` grey over the cells that are indoors, darker where the building is
-    higher; clear elsewhere."""
-    height = outcome.scenario.city.height_m
-    indoor = ~outcome.scenario.outdoor
-    shade = np.zeros((*height.shape, 4))
-    if indoor.any():
-        low, high = float(height[indoor].min()), float(height[indoor].max())
-        rank = (height - low) / max(high - low, 1e-9)
-        shade[..., :3] = (0.80 - 0.40 * np.clip(rank, 0, 1))[..., None]
-        shade[..., 3] = indoor
-    return shade
 
 
 def _hatch(axes: Axes, outcome: Outcome, mask: NDArray[np.bool_], hatch: str, colour: str) -> None:
