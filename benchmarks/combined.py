@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.rays import ALTITUDE_M, DEFAULT, cleared, places
+from benchmarks.launcher import ALTITUDE_M, DEFAULT, cleared, places
 from benchmarks.record import Table
 from benchmarks.study import Option, Run, study
 from skygain.city import City

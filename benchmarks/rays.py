@@ -5,107 +5,30 @@ from __future__ import annotations
 import resource
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.launcher import (
+    ALTITUDE_M,
+    BESIDE,
+    COARSE,
+    DEFAULT,
+    FINE,
+    bound,
+    cleared,
+    compared,
+    edge_ratios,
+    elsewhere,
+    launched,
+    places,
+    reference,
+)
 from benchmarks.record import Table
 from benchmarks.study import Option, Run, study
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
-from skygain.city import City
-from skygain.propagation.diffraction import free_space_gain_db, over_rooftop_gain_db
+from skygain.propagation.diffraction import over_rooftop_gain_db
 from skygain.propagation.launching.launch import Launching, launch_gain_db
-from skygain.propagation.mesh import clear_of_plane
-
-ALTITUDE_M = 10.0
-DEFAULT = Launching()
-FINE = replace(DEFAULT, azimuths=4 * DEFAULT.azimuths, points=4 * DEFAULT.points)
-COARSE = replace(DEFAULT, azimuths=2048, points=1)
-BESIDE = replace(FINE, wedge="sionna")
-"""what stands beside Sionna RT's maps: its weights of the reflections at an edge"""
-
-Map = NDArray[np.float64]
-
-
-def places(cities: tuple[int, ...]) -> list[tuple[City, NDArray[np.float64], str]]:
-    """Of each city the site nearest the middle and the fourth, unless they are one."""
-    found = []
-    for seed in cities:
-        city = manhattan_city(seed)
-        sites = transmitter_sites(city)
-        west, south, east, north = city.grid.bounds_m
-        away = np.hypot(sites[:, 0] - (west + east) / 2, sites[:, 1] - (south + north) / 2)
-        middle = int(np.argmin(away))
-        found.append((city, sites[middle], f"{seed}_mid"))
-        if middle != 3:
-            found.append((city, sites[3], f"{seed}_3"))
-    return found
-
-
-def cleared(city: City) -> City:
-    """The city with roofs as far from the plane as the reference has to have them."""
-    from skygain.propagation.sionna import _clearance_m
-
-    buildings = clear_of_plane(city.buildings, ALTITUDE_M, _clearance_m(city))
-    return City(city.grid, city.height_m, buildings, city.name)
-
-
-def reference(
-    folder: Path, city: City, site: NDArray[np.float64], name: str, millions: int, diffraction: bool
-) -> tuple[Map, float]:
-    """Sionna's gain ``[row, col]`` and its processor seconds, traced once and kept."""
-    kind = "full" if diffraction else "refl"
-    path = folder / f"{name}_{millions}M_{kind}.npz"
-    if not path.exists():
-        from skygain.propagation.sionna import trace_gain_db
-
-        start = time.process_time()
-        traced = trace_gain_db(
-            city, site, [ALTITUDE_M], samples=millions * 1_000_000, diffraction=diffraction
-        )
-        folder.mkdir(parents=True, exist_ok=True)
-        seconds = time.process_time() - start
-        np.savez(path, gain=traced.gain_db[0, 0], cpu=seconds)
-    with np.load(path) as kept:
-        return kept["gain"].astype(float), float(kept["cpu"])
-
-
-def launched(city: City, site: NDArray[np.float64], settings: Launching) -> tuple[Map, float]:
-    """The launcher's gain ``[row, col]`` and its processor seconds."""
-    start = time.process_time()
-    gain = launch_gain_db(city, site, [ALTITUDE_M], settings=settings).gain_db[0, 0]
-    return gain.astype(float), time.process_time() - start
-
-
-def bound(city: City, site: NDArray[np.float64], gain: Map) -> Map:
-    """The gain cut at 6 dB over free space, as the reference's is."""
-    y, x = np.meshgrid(city.grid.y_m, city.grid.x_m, indexing="ij")
-    away = np.sqrt((x - site[0]) ** 2 + (y - site[1]) ** 2 + (ALTITUDE_M - site[2]) ** 2)
-    return np.minimum(gain, free_space_gain_db(away) + 6.0)
-
-
-def compared(city: City, site: NDArray[np.float64], ours: Map, theirs: Map) -> dict[str, float]:
-    """How far apart two maps of rays are, and the truths made of them."""
-    outdoor = ~city.obstructed(ALTITUDE_M)
-    roof = over_rooftop_gain_db(city, site, [ALTITUDE_M])[0, 0]
-    mine, other = np.isfinite(ours) & outdoor, np.isfinite(theirs) & outdoor
-    rays = (ours - theirs)[mine & other]
-    truth = (np.maximum(ours, roof) - np.maximum(theirs, roof))[outdoor]
-    strong = np.maximum(np.maximum(ours, theirs), roof)[outdoor] > -110
-    power = [float((10 ** (g[outdoor] / 10)).sum()) for g in (ours, theirs)]
-    return {
-        "rays_rmse": float(np.sqrt((rays**2).mean())),
-        "rays_median": float(np.median(np.abs(rays))),
-        "rays_p95": float(np.percentile(np.abs(rays), 95)),
-        "truth_rmse": float(np.sqrt((truth**2).mean())),
-        "truth_p95": float(np.percentile(np.abs(truth), 95)),
-        "strong_rmse": float(np.sqrt((truth[strong] ** 2).mean())),
-        "ours_alone": int((mine & ~other).sum()),
-        "theirs_alone": int((other & ~mine).sum()),
-        "power": power[0] / power[1],
-    }
 
 
 def grown(side: int) -> dict[str, float]:
@@ -133,11 +56,96 @@ def worst(rows: list[dict[str, Any]]) -> float:
     return max(row["truth_rmse"] for row in rows)
 
 
+def _edges(ratios: list[float]) -> str:
+    return (
+        f"Of {len(ratios)} edges that dominate 20 cells or more, power over that of Sionna RT's "
+        f"finest: {min(ratios):.2f} to {max(ratios):.2f}."
+    )
+
+
+CHEAP = {
+    "launcher, 256 azimuths, 1 place": replace(COARSE, azimuths=256),
+    "launcher, coarse": COARSE,
+    "launcher, default": DEFAULT,
+}
+
+
+def _speed(run: Run) -> list[list[str]]:
+    """Rows of the table of costs: Sionna RT by its rays, the launcher by its settings."""
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for seed in run.options.unseen:
+        city, site, name = places((seed,))[0]
+        clear = cleared(city)
+        finest, _ = launched(clear, site, BESIDE)
+        finest = bound(city, site, finest)
+        for millions in run.options.millions:
+
+            def theirs(m: int = millions) -> dict[str, Any]:
+                gain, seconds = reference(run.data, city, site, name, m, True)  # noqa: B023
+                return compared(city, site, finest, gain) | {"seconds": seconds}  # noqa: B023
+
+            row = run.once(("speed", name, millions), theirs)
+            rows.setdefault(f"Sionna RT, {millions} M rays", []).append(row)
+        for label, settings in CHEAP.items():
+
+            def ours(s: Any = settings) -> dict[str, Any]:
+                runs = [launched(clear, site, replace(s, wedge="sionna")) for _ in range(3)]  # noqa: B023
+                gain = bound(city, site, runs[0][0])  # noqa: B023
+                seconds = float(np.median([taken for _, taken in runs]))
+                return compared(city, site, finest, gain) | {"seconds": seconds}  # noqa: B023
+
+            rows.setdefault(label, []).append(run.once(("speed", name, label), ours))
+    # Sionna RT's error falls with the root of its rays; the launcher's settings are below 1 dB
+    last = rows[f"Sionna RT, {max(run.options.millions)} M rays"]
+    needed = float(np.mean([r["seconds"] * r["truth_rmse"] ** 2 for r in last]))
+    table = []
+    for label, found in rows.items():
+        seconds, error = mean(found, "seconds"), mean(found, "truth_rmse")
+        enough = error <= 1.0 and label in CHEAP
+        table.append(
+            [
+                label,
+                f"{seconds:.2f}",
+                f"{error:.2f}",
+                f"{needed:.0f}" if found is last else f"{seconds:.2f}" if enough else "",
+                f"{needed / seconds:.0f} ×" if enough else "",
+            ]
+        )
+    return table
+
+
+def _other(run: Run, name: str) -> list[str]:
+    """The row of one other city."""
+    city, site = elsewhere(name)
+    clear, millions = cleared(city), run.options.elsewhere_millions
+    found = {}
+    for diffraction in (False, True):
+        theirs, _ = reference(run.data, city, site, name, millions, diffraction)
+        ours, _ = launched(clear, site, replace(BESIDE, diffraction=diffraction))
+        found[diffraction] = compared(city, site, bound(city, site, ours), theirs)
+    plain, whole = found[False], found[True]
+    return [
+        name,
+        f"{len(city.buildings)}",
+        f"{plain['rays_rmse']:.2f}",
+        f"{plain['rays_median']:.3f}",
+        f"{whole['truth_rmse']:.2f}",
+        f"{whole['strong_rmse']:.2f}",
+        f"{whole['truth_p95']:.2f}",
+        f"{whole['ours_alone']}",
+        f"{whole['theirs_alone']} ({whole['theirs_decides']})",
+        f"{whole['power']:.4f}",
+    ]
+
+
 @study(
     "launching",
     data="FOLDER",
     cities=Option((1, 2, 3), "seeds of the cities"),
     millions=Option((3, 10, 100), "millions of rays of the reference"),
+    unseen=Option((4, 5), "seeds of the cities that speed is compared on"),
+    elsewhere=Option(("munich", "etoile", "town"), "other cities"),
+    elsewhere_millions=Option(30, "millions of rays of the reference there"),
     sides=Option((125, 250, 500, 1000), "sides of the maps that grow, in cells"),
 )
 def launching(run: Run) -> list[Table]:
@@ -151,8 +159,16 @@ def launching(run: Run) -> list[Table]:
     reflections: dict[str, list[dict[str, Any]]] = {}
     whole: dict[str, list[dict[str, Any]]] = {}
     own: dict[str, list[dict[str, Any]]] = {}
+    ratios: list[float] = []
+    most = max(options.millions)
     for city, site, name in here:
         clear = cleared(city)
+        ratios += run.once(
+            (name, "edges"),
+            lambda c=clear, s=site, n=name: edge_ratios(
+                c, s, reference(run.data, c, s, n, most, True)[0]
+            ),
+        )
 
         def against(millions: int, diffraction: bool) -> dict[str, Any]:
             theirs, seconds = reference(run.data, city, site, name, millions, diffraction)  # noqa: B023
@@ -182,6 +198,11 @@ def launching(run: Run) -> list[Table]:
             if label == "default":
                 row |= {"three": run.once((name, "three"), three)}
             own.setdefault(label, []).append(row)
+    speed = _speed(run)
+    others = [
+        run.once(("elsewhere", name, options.elsewhere_millions), lambda n=name: _other(run, n))
+        for name in options.elsewhere
+    ]
     grow = [run.once(("grown", side), lambda s=side: grown(s)) for side in options.sides]
     maps = f"Mean of {len(here)} maps of Manhattan cities, 10 m, 5 GHz."
     return [
@@ -204,8 +225,9 @@ def launching(run: Run) -> list[Table]:
             ],
         ),
         Table(
-            f"With single diffraction: the truths made of Sionna RT's and of the launcher's map. "
-            f"{maps}",
+            "With single diffraction: the truths made of Sionna RT's and of the launcher's map; in "
+            "brackets the cells where Sionna RT alone is above the rooftops. "
+            f"{maps} {_edges(ratios)}",
             ["Sionna RT with", "processor s per map", "truth RMSE dB", "worst map dB",
              "above −110 dB", "95 % dB", "only launcher", "only Sionna", "power sum"],
             [
@@ -217,7 +239,8 @@ def launching(run: Run) -> list[Table]:
                     f"{mean(rows, 'strong_rmse'):.2f}",
                     f"{mean(rows, 'truth_p95'):.2f}",
                     f"{sum(r['ours_alone'] for r in rows)}",
-                    f"{sum(r['theirs_alone'] for r in rows)}",
+                    f"{sum(r['theirs_alone'] for r in rows)} "
+                    f"({sum(r['theirs_decides'] for r in rows)})",
                     f"{mean(rows, 'power'):.4f}",
                 ]
                 for label, rows in whole.items()
@@ -241,6 +264,20 @@ def launching(run: Run) -> list[Table]:
                 ]
                 for label, rows in own.items()
             ],
+        ),
+        Table(
+            "Processor seconds of one thread on cities that nothing was tuned on "
+            f"({', '.join(map(str, options.unseen))}), in the same run, by the error of the truth "
+            "against the launcher's finest.",
+            ["program", "processor s per map", "truth RMSE dB", "s for 1.0 dB", "ratio"],
+            speed,
+        ),
+        Table(
+            f"Other cities: Sionna RT with {options.elsewhere_millions} M rays against the launcher, "
+            "10 m.",
+            ["city", "buildings", "reflections: RMSE dB", "median dB", "truth RMSE dB",
+             "above −110 dB", "95 % dB", "only launcher", "only Sionna", "power sum"],
+            others,
         ),
         Table(
             "Growth: one map at 10 m by one thread.",
