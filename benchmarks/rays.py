@@ -273,8 +273,8 @@ def launching(run: Run) -> list[Table]:
             speed,
         ),
         Table(
-            f"Other cities: Sionna RT with {options.elsewhere_millions} M rays against the launcher, "
-            "10 m.",
+            f"Other cities: Sionna RT with {options.elsewhere_millions} M rays against the "
+            "launcher, 10 m.",
             ["city", "buildings", "reflections: RMSE dB", "median dB", "truth RMSE dB",
              "above −110 dB", "95 % dB", "only launcher", "only Sionna", "power sum"],
             others,

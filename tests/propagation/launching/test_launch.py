@@ -297,6 +297,21 @@ def test_more_places_in_a_cell_change_little() -> None:
         for p in (2, 16)
     )
     outdoor = ~city.obstructed(10.0) & np.isfinite(few)
-    gap = np.abs(few - many)[outdoor]
+    gap = np.abs(few[outdoor] - many[outdoor])
     assert np.percentile(gap, 95) < 0.2
     assert np.sqrt((gap**2).mean()) < 0.4
+
+
+def test_small_cells_find_every_corner() -> None:
+    """Cells smaller than the reach of a corner add up to the power of large ones."""
+    settings = Launching(combined=True, max_reflections=1, azimuths=4096)
+    maps = []
+    for n in (30, 120):
+        side = 120 / n
+        grid = Grid(shape=(n, n), spacing_m=side, origin_m=(side / 2, side / 2))
+        city = City(grid, np.zeros(grid.shape, dtype=np.float32), tuple(STREET))
+        gain = launch_gain_db(city, (10.0, 10.0, 1.5), [10.0], settings=settings).gain_db[0, 0]
+        maps.append((10 ** (gain / 10)).reshape(30, n // 30, 30, n // 30).mean(axis=(1, 3)))
+    outdoor = ~city_of(STREET).obstructed(10.0) & (maps[0] > 0)
+    gap = np.abs(10 * np.log10(maps[0][outdoor] / maps[1][outdoor]))
+    assert np.percentile(gap, 90) < 0.5

@@ -63,13 +63,16 @@ def vertical_corners(geometry: Geometry) -> Corners:
     origin = edges.origin_m[chosen]
     rows, cols = geometry.tallest_m.shape
     frame = geometry.frame
+    reach = int(np.ceil(_BESIDE_M / frame[2]))
+    shifts = np.linspace(-_BESIDE_M, _BESIDE_M, 2 * reach + 1)  # no cell between is left out
     cells: list[NDArray[np.int64]] = []
-    for dx in (-_BESIDE_M, _BESIDE_M):
-        for dy in (-_BESIDE_M, _BESIDE_M):
+    for dx in shifts:
+        for dy in shifts:
             col = np.floor((origin[:, 0] + dx - frame[0]) / frame[2]).astype(np.int64)
             row = np.floor((origin[:, 1] + dy - frame[1]) / frame[2]).astype(np.int64)
             cells.append(np.clip(row, 0, rows - 1) * cols + np.clip(col, 0, cols - 1))
-    pairs = np.unique(np.c_[np.concatenate(cells), np.tile(np.arange(len(origin)), 4)], axis=0)
+    numbers = np.tile(np.arange(len(origin)), len(cells))
+    pairs = np.unique(np.c_[np.concatenate(cells), numbers], axis=0)
     first = np.zeros(rows * cols + 1, dtype=np.int64)
     np.add.at(first, pairs[:, 0] + 1, 1)
     place = {(round(x, 5), round(y, 5)): i for i, (x, y) in enumerate(origin[:, :2].tolist())}
