@@ -47,7 +47,8 @@ def run_inspect(request: InspectRequest, progress: Progress = SILENT) -> str:
             except InputError as error:
                 lines.append(f"nor as readings: {error}")
         return "\n".join(lines)
-    return "\n".join([*holdings(path), *_log(path, request)])
+    held = [path.name] if path.is_dir() else holdings(path)
+    return "\n".join([*held, *_log(path, request)])
 
 
 def _is_city(path: Path) -> bool:

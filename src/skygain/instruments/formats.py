@@ -7,6 +7,7 @@ __all__ = ["open_table"]
 from pathlib import Path
 
 from skygain.ground.errors import InputError
+from skygain.instruments.deepmimo import is_scenario, open_scenario
 from skygain.instruments.delimited import open_delimited
 from skygain.instruments.flight_logs import LOG_SUFFIXES, open_flight_log
 from skygain.instruments.insite import open_p2m
@@ -25,6 +26,8 @@ def open_table(path: Path, max_bytes: int, level: str | None) -> Table:
     Raises:
         InputError: there is no file, it is too large, or it cannot be read.
     """
+    if is_scenario(path):
+        return open_scenario(path, max_bytes)
     if not path.is_file():
         raise InputError(f"no file {str(path)!r}; give the path of a log (CSV, GeoPackage, …)")
     try:
