@@ -127,7 +127,8 @@ def kmz_points(path: Path) -> list[tuple[float, float]]:
     for number, mark in enumerate(root.iter(f"{kml}Placemark")):
         names = [child.tag.partition("}")[2] for child in mark]
         assert names[:4] == ["Point", "index", "executeHeight", "waypointSpeed"]
-        assert names[4:] == ["waypointHeadingParam", "waypointTurnParam", "useStraightLine"]
+        assert names[4:7] == ["waypointHeadingParam", "waypointTurnParam", "useStraightLine"]
+        assert names[7:] in ([], ["actionGroup"])
         assert mark[1].text == str(number)
         lon, lat = mark[0][0].text.split(",")
         points.append((float(lat), float(lon)))

@@ -24,7 +24,7 @@ from skygain.missions.watching import LIVE
 from tests.missions.town import SOUTH_M, TO_DEGREES, WEST_M, mission_request
 from tests.missions.vehicles import SimulatedVehicle, free_port
 
-PACE = 15.0
+PACE = 8.0
 
 
 def level(latitude: float, longitude: float) -> float:
@@ -129,7 +129,7 @@ def test_a_whole_flight_with_a_death_and_a_broken_link(
         events = mission.journal.events("lost", "replanned")
     assert states == {0: "landed", 1: "landed", 2: "lost"}, lines
     assert [e["uav"] for e in events if e["kind"] == "lost"] == [2]
-    assert sum(e["kind"] == "replanned" for e in events) >= 3
+    assert sum(e["kind"] == "replanned" for e in events) >= 2
     assert fleet[0].uploads >= 2
     assert max(flight.replan_s) < 2.0
     assert apart_m(site, fleet) >= site.request.separation_m - 1.0  # positions 0.01 s apart

@@ -17,6 +17,9 @@ from typing import Any
 
 os.environ.setdefault("MAVLINK20", "1")
 
+ACCELERATION = 2.5
+"""m/s² of a simulated vehicle"""
+
 
 def free_port() -> int:
     """A port of loopback that nobody uses."""
@@ -118,7 +121,7 @@ class SimulatedVehicle:
         self.wanted = 0
         self.current = 0
         self.armed, self.mode, self.speed, self.battery = False, 0, 5.0, 1.0
-        self.silent_until = 0.0
+        self.silent_until = self.hold = self.pace_mps = 0.0
         self.trace: list[tuple[float, float, float, float]] = []
         """(wall time, latitude, longitude, height) at every step"""
         self.uploads = 0
@@ -178,7 +181,8 @@ class SimulatedVehicle:
         if not self.armed:
             return
         self.battery -= step / (18 * 60)
-        left = step
+        left = max(0.0, step - self.hold)
+        self.hold = max(0.0, self.hold - step)
         while left > 0 and self.armed and self.current < len(self.items):
             item = self.items[self.current]
             if item.command == 178:
@@ -200,13 +204,22 @@ class SimulatedVehicle:
                 self.current += 1
 
     def _toward(self, to: tuple[float, float, float], speed: float, left: float) -> float:
-        gap = math.dist(to, self.xyz)
-        if gap <= speed * left + 1e-9:
-            self.xyz = list(to)
-            self.current += 1
-            return left - gap / speed
-        share = speed * left / gap
-        self.xyz = [a + share * (b - a) for a, b in zip(self.xyz, to, strict=True)]
+        """Move for at most ``left`` seconds, with an acceleration and a stop at the end."""
+        while left > 0:
+            gap = math.dist(to, self.xyz)
+            step = min(left, 0.05)
+            self.pace_mps = min(
+                self.pace_mps + ACCELERATION * step, speed, math.sqrt(2 * ACCELERATION * gap) + 0.05
+            )
+            left -= step
+            if gap <= self.pace_mps * step:
+                self.xyz, self.pace_mps = list(to), 0.0
+                item = self.items[self.current]
+                self.hold = item.param1 if item.command == 16 else 0.0
+                self.current += 1
+                return 0.0
+            share = self.pace_mps * step / gap
+            self.xyz = [a + share * (b - a) for a, b in zip(self.xyz, to, strict=True)]
         return 0.0
 
     def _beat(self) -> None:

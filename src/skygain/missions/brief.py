@@ -15,7 +15,7 @@ from skygain.missions.orders import orders_for
 from skygain.missions.pictures import sortie_figure
 from skygain.missions.site import Site
 from skygain.missions.sortie import Sortie
-from skygain.missions.timing import SLIP_S, nearest
+from skygain.missions.timing import ACCELERATION_MPS2, SLIP_S, STOP_SLIP, nearest
 
 _STYLE = """
 :root { color-scheme: light; --ink: #1f2933; --soft: #5b6672; --line: #d8dee4; }
@@ -150,6 +150,7 @@ def risks(site: Site, sortie: Sortie) -> list[str]:
             f"({request.clearance_m:g} m asked for). Trees, cranes, masts and wires are not in the "
             "map: look for them."
         )
+    per_corner = STOP_SLIP * request.speed_mps / ACCELERATION_MPS2
     pairs = [
         (nearest(a.timeline, b.timeline, request.speed_mps), a.uav, b.uav)
         for i, a in enumerate(sortie.flights)
@@ -160,11 +161,12 @@ def risks(site: Site, sortie: Sortie) -> list[str]:
         if gap < 1e6:
             lines.append(
                 f"UAVs {other} and {one} come nearest: not below {gap:.0f} m as long as none is "
-                f"more than {SLIP_S:.0f} s early or late ({request.separation_m:g} m asked for). "
-                "A UAV that waits or hovers longer breaks this: bring the others home."
+                f"more than {SLIP_S:g} s early or late, and {per_corner:.1f} s more for each "
+                f"corner it has passed ({request.separation_m:g} m asked for). A UAV that waits "
+                "longer breaks this: bring the others home."
             )
         else:
-            lines.append("No two UAVs are in the air at the same time.")
+            lines.append("No two UAVs come near each other while they are in the air.")
     most = max(f.air_s for f in sortie.flights)
     lines.append(
         f"The longest flight takes {most / 60:.1f} of {request.battery_min:g} min of battery, in "

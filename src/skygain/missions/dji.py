@@ -16,7 +16,7 @@ import numpy as np
 
 from skygain.ground.files import atomic_write
 from skygain.missions.orders import Orders, Point
-from skygain.missions.timing import leg_seconds
+from skygain.missions.timing import HOLD_S, leg_seconds
 
 WAYPOINT_LIMIT = 200
 """waypoints that DJI's apps take in one mission"""
@@ -90,6 +90,8 @@ def _waylines(orders: Orders, points: tuple[Point, ...]) -> bytes:
         _wpml(turn, "waypointTurnMode", _STOPS)
         _wpml(turn, "waypointTurnDampingDist", "0")
         _wpml(mark, "useStraightLine", "1")
+        if point.stop:
+            _hover(mark, number)
     return _bytes(root)
 
 
@@ -117,6 +119,19 @@ def _config(document: Xml.Element, orders: Orders) -> None:
 def _heading(parent: Xml.Element, name: str) -> None:
     heading = _wpml(parent, name)
     _wpml(heading, "waypointHeadingMode", "followWayline")
+
+
+def _hover(mark: Xml.Element, number: int) -> None:
+    group = _wpml(mark, "actionGroup")
+    _wpml(group, "actionGroupId", str(number))
+    _wpml(group, "actionGroupStartIndex", str(number))
+    _wpml(group, "actionGroupEndIndex", str(number))
+    _wpml(group, "actionGroupMode", "sequence")
+    _wpml(_wpml(group, "actionTrigger"), "actionTriggerType", "reachPoint")
+    action = _wpml(group, "action")
+    _wpml(action, "actionId", "0")
+    _wpml(action, "actionActuatorFunc", "hover")
+    _wpml(_wpml(action, "actionActuatorFuncParam"), "hoverTime", f"{HOLD_S:g}")
 
 
 def _placemark(folder: Xml.Element, number: int, point: Point) -> Xml.Element:

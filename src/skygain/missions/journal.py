@@ -171,9 +171,10 @@ class Journal:
 
     def readings(self) -> list[Reading]:
         """Every reading, in the order in which they came in."""
-        names = ", ".join(f.name for f in fields(Reading))
-        rows = self._db.execute(f"SELECT {names} FROM readings ORDER BY id").fetchall()
-        return [Reading(*row[:4], bool(row[4]), *row[5:]) for row in rows]
+        names = [f.name for f in fields(Reading)]
+        rows = self._db.execute(f"SELECT {', '.join(names)} FROM readings ORDER BY id").fetchall()
+        told = (dict(zip(names, row, strict=True)) for row in rows)
+        return [Reading(**{**one, "censored": bool(one["censored"])}) for one in told]
 
     def reading_events(self) -> list[int]:
         """The number of the event that each reading came with, in the order of `readings`."""

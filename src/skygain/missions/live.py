@@ -28,14 +28,16 @@ from skygain.missions.orders import orders_for
 from skygain.missions.qgroundcontrol import items
 from skygain.missions.sortie import Flight, Sortie, flight_along
 from skygain.missions.state import known_belief
-from skygain.missions.timing import TICK_S, Timeline, first_conflict
+from skygain.missions.timing import SLIP_S, TICK_S, Timeline, first_conflict
 from skygain.missions.vehicle_link import VehicleLink
 from skygain.missions.watching import LIVE
 from skygain.predictors.base import Belief
 
-_COMMITTED = 0.75
 _SHARES = (1.0, 0.7, 0.4, 0.2)
 """of a new way, tried in this order until it is clear of the others"""
+_IN_TIME = 0.5
+"""share of the lead after which a new way comes too late to be sent"""
+_ARDUPILOT = 3
 FLYING, LOST, LOW, HOLDING, LANDED = "flying", "lost", "low", "holding", "landed"
 WAITING = "waiting"
 
@@ -46,10 +48,11 @@ class LiveSettings:
 
     every_cells: int = 15
     """a vehicle is planned anew after so many cells"""
-    ahead_cells: int = 90
-    """so many cells are planned ahead"""
+    ahead_cells: int = 40
+    """so many cells are planned ahead; a vehicle that hears of no new plan turns home after
+    them"""
     lead_s: float = 4.0
-    """a new way leaves the old one so long after now"""
+    """a new way leaves the old one so long after now, or later where planning takes longer"""
     lost_s: float = 5.0
     """a vehicle that is silent for longer is lost"""
     low: float = 0.25
@@ -268,26 +271,47 @@ class LiveFlight:
         if not due:
             return
         rider = max(due, key=lambda r: r.done - r.planned_at)
-        began = time.monotonic()
+        began, began_s, lead_s = time.monotonic(), self.now(), self.lead_s
         rider.planned_at = rider.done
         self._take_readings(at_once=True)
         flight = self.planned(rider)
-        if flight is None or rider.state != FLYING:
-            return
-        if self._send(rider, flight):
+        late = self.now() - began_s > _IN_TIME * lead_s
+        if flight is not None and rider.state == FLYING and not late and self._send(rider, flight):
+            rider.link.fly_from(self._next_item(rider, flight))
             self.mission.journal.add("replanned", {"flight": flight.as_data()})
-            rider.link.fly_from(0 if rider.link.heard.autopilot == 12 else 1)
-            rider.flight, rider.began_s = flight, self.now()
+            rider.flight, rider.began_s = flight, began_s
             rider.done = rider.planned_at = 0
         self.replan_s.append(time.monotonic() - began)
+
+    @property
+    def lead_s(self) -> float:
+        """Seconds of the vehicles after which a new way leaves the old one: enough to plan and to
+        upload it."""
+        slowest = max(self.replan_s[-5:], default=0.0)
+        return self.settings.lead_s + 2.0 * slowest * self.settings.pace
+
+    def _next_item(self, rider: Rider, flight: Flight) -> int:
+        """The item of a new mission to fly to: the end of the leg that the vehicle is on, which is
+        the old way still, or the nearest point in clear sight if it is late."""
+        place, points = self._place(rider), flight.route_m[:, :2]
+        first = points[: min(len(points) - 1, flight.measuring)]
+        step = points[1 : len(first) + 1] - first
+        length = np.maximum((step**2).sum(axis=1), 1e-12)
+        share = np.clip(((place - first) * step).sum(axis=1) / length, 0.0, 1.0)
+        off = np.hypot(*(first + share[:, None] * step - place).T)
+        for leg in np.argsort(off, kind="stable")[:8]:
+            if self.site.space.clear(np.array([place, points[leg + 1]])):
+                # one item before the way sets the speed; ArduPilot counts its home too
+                return int(leg) + 1 + (rider.link.heard.autopilot == _ARDUPILOT)
+        return int(np.argmin(off)) + 1 + (rider.link.heard.autopilot == _ARDUPILOT)
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def planned(self, rider: Rider, belief: Belief | None = None) -> Flight | None:
         """A new flight for a vehicle in the air that is clear of what the others have on board;
         ``None`` where its old one is as good."""
-        site, settings = self.site, self.settings
+        site = self.site
         old = rider.flight
-        steps = max(1, int(settings.lead_s * old.speed_mps / site.grid.spacing_m))
+        steps = max(1, int(self.lead_s * old.speed_mps / site.grid.spacing_m))
         turn = min(rider.done + steps, len(old.cells) - 1)
         cell = old.cells[turn]
         lead = np.vstack([self._place(rider)[None], site.grid.xy_m(old.cells[rider.done : turn])])
@@ -296,10 +320,8 @@ class LiveFlight:
         left_s = site.request.usable_s - (self.now() - rider.up_s)
         belief = ahead_of(known_belief(self.mission) if belief is None else belief)
         others = [r for r in self.riders if r is not rider and r.state not in (LANDED, WAITING)]
-        theirs = [r.flight.cells[r.done :] for r in self.riders if r is not rider]
-        coming = np.vstack([*theirs, old.cells[rider.done : turn + 1]])
-        if len(coming):
-            belief = with_expected(belief, coming)
+        coming = np.vstack([self._coming(rider, cell), old.cells[rider.done : turn + 1]])
+        belief = with_expected(belief, coming)
         path = self._path(belief, cell)
         lines = [_remaining(r.flight, self._place(r), self.now() - r.began_s) for r in others]
         speed, apart = old.speed_mps, site.request.separation_m
@@ -313,6 +335,14 @@ class LiveFlight:
             if all(first_conflict(flight.timeline, o, speed, apart) is None for o in lines):
                 return flight
         return None
+
+    def _coming(self, rider: Rider, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Every second cell that the others will read soon, and near enough to matter."""
+        ahead = self.settings.ahead_cells
+        theirs = [r.flight.cells[r.done : r.done + 2 * ahead : 2] for r in self.riders
+                  if r is not rider]  # fmt: skip
+        cells = np.vstack([np.empty((0, 2), dtype=np.int64), *theirs])
+        return cells[np.abs(cells - cell).max(axis=1, initial=0) <= ahead]
 
     def _within(
         self,
@@ -340,11 +370,10 @@ class LiveFlight:
         while swarm.flying.any():
             horizon = int(swarm.steps_left.max())
             plan = self._planner.plan(swarm, belief, horizon, self._random)
-            commit = max(plan.commit_steps, int(_COMMITTED * plan.n_steps))
-            for cells in plan.paths.transpose(1, 0, 2)[1 : commit + 1]:
+            for cells in plan.paths.transpose(1, 0, 2)[1:]:
                 swarm = swarm.advanced(cells)
             if swarm.flying.any():
-                belief = with_expected(belief, plan.paths[:, 1 : commit + 1])
+                belief = with_expected(belief, plan.paths[:, 1:])
         return swarm.history[0]
 
 
@@ -358,4 +387,6 @@ def _remaining(flight: Flight, place_m: NDArray[np.float64], moment_s: float) ->
     cost = np.where(np.isfinite(near), near + 0.5 * late, np.inf)
     at = int(cost.argmin())
     rest = ticks[at:]
-    return Timeline(rest, np.empty(0), len(rest) * TICK_S)
+    # it is seen here and now, so only the stops still to come make it early or late
+    slip = flight.timeline.slip_s[at:]
+    return Timeline(rest, slip - slip[0] + SLIP_S, np.empty(0), len(rest) * TICK_S)

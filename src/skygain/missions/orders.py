@@ -12,6 +12,7 @@ import numpy as np
 from skygain.ground.errors import require
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, Sortie
+from skygain.missions.timing import runs
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Point:
     """when it is reached, counted from the first take-off of the sortie"""
     homeward: bool
     """it belongs to the way home"""
+    stop: bool
+    """the vehicle stops there, at a corner"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +68,16 @@ def orders_for(site: Site, sortie: Sortie, flight: Flight) -> Orders:
     """The orders for one flight of a sortie."""
     latlon = np.round(site.latlon(flight.route_m[:, :2]), 8)
     moments = flight.timeline.reached_s
+    stops = {last for _, last in runs(flight.route_m)}
     points = tuple(
-        Point(float(lat), float(lon), round(float(h), 2), float(t), k >= flight.measuring)
+        Point(
+            float(lat),
+            float(lon),
+            round(float(h), 2),
+            float(t),
+            k >= flight.measuring,
+            k in stops,
+        )
         for k, ((lat, lon), h, t) in enumerate(zip(latlon, flight.heights_m, moments, strict=True))
     )
     lat, lon = (float(v) for v in np.round(site.latlon(np.array(flight.pad_m[:2])), 8))

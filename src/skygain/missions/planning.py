@@ -15,6 +15,7 @@ from skygain.flight.airspace import followed
 from skygain.flight.swarm import FlightRules, Swarm
 from skygain.flight.ways import steps_between
 from skygain.ground.errors import InputError
+from skygain.measurements import Measurements
 from skygain.missions.imagined import ahead_of, with_expected
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, Sortie, flight_along
@@ -31,6 +32,7 @@ _CUTS = 6
 """so often a flight is cut short before it waits for the others to land"""
 
 Told = Callable[[int, int], None]
+Read = Callable[[NDArray[np.int64]], Measurements]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -43,6 +45,7 @@ def plan_sortie(
     number: int = 1,
     uavs: Sequence[int] | None = None,
     leftover: Sequence[NDArray[np.int64]] = (),
+    read: Read | None = None,
     told: Told = lambda done, total: None,
 ) -> Sortie:
     """The flights that teach most, each within its battery and clear of everything and everyone.
@@ -56,6 +59,8 @@ def plan_sortie(
         uavs: numbers of those that fly; all when left out.
         leftover: runs of cells ``[k, (row, col)]`` that were planned before and not flown; they are
             flown first.
+        read: takes the readings at cells as they are flown, where the flight is simulated and its
+            vehicles are planned anew with them; otherwise what is expected is taken to be read.
         told: hears how many steps of how many are planned.
 
     Raises:
@@ -65,9 +70,9 @@ def plan_sortie(
     if not chosen:
         raise InputError("every UAV stays on the ground; leave one out of `without`")
     check_battery(site, chosen)
+    paths = _paths(site, belief, planner, rng, chosen, leftover, read, told)
     belief = ahead_of(belief)
     before_db = expected_error(site, belief)
-    paths = _paths(site, belief, planner, rng, chosen, leftover, told)
     flights, notes = _fitted(site, chosen, paths)
     if not flights:
         raise InputError(
@@ -107,6 +112,7 @@ def _paths(
     rng: np.random.Generator,
     uavs: Sequence[int],
     leftover: Sequence[NDArray[np.int64]],
+    read: Read | None,
     told: Told,
 ) -> NDArray[np.int64]:
     """``[uav, step, (row, col)]`` cells the planner would visit, longer than a battery lasts."""
@@ -119,12 +125,17 @@ def _paths(
     steps = max(1, int(request.usable_s * request.speed_mps / spacing))
     rules = FlightRules(min_distance_m=apart)
     swarm = Swarm.deployed(site.scenario, start, steps, rules)
-    belief = with_expected(belief, start)
+
+    def after(belief: Belief, cells: NDArray[np.int64]) -> Belief:
+        cells = cells.reshape(-1, 2)
+        return with_expected(belief, cells) if read is None else belief.updated(read(cells))
+
+    belief = after(belief if read else ahead_of(belief), start)
     ahead = _assigned(site, uavs, leftover)
     alive = np.ones(len(uavs), dtype=bool)
     while alive.any() and swarm.flying.any():
         plan = planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
-        commit = max(plan.commit_steps, int(_COMMITTED * plan.n_steps))
+        commit = max(plan.commit_steps, 0 if read else int(_COMMITTED * plan.n_steps))
         paths = plan.paths
         if any(len(run) for run in ahead):
             routes = [
@@ -137,7 +148,7 @@ def _paths(
             swarm = swarm.advanced(cells)
         flown = paths[:, 1 : commit + 1]
         ahead = [_without(run, flown[i]) for i, run in enumerate(ahead)]
-        belief = with_expected(belief, flown)
+        belief = after(belief, flown)
         for i, uav in enumerate(uavs):
             if alive[i]:
                 alive[i] = _seconds(site, uav, swarm.history[i]) <= request.usable_s
@@ -259,5 +270,5 @@ def _apart(site: Site, flight: Flight, others: Sequence[Flight]) -> tuple[Flight
         flight = flight_along(site, flight.uav, flight.cells[:most], site.ways_home[flight.uav])
     whole = flight_along(site, flight.uav, cells, site.ways_home[flight.uav])
     wait = max(o.timeline.landed_s for o in others) + 10.0
-    note = f"UAV {flight.uav} takes off after the others have landed, to keep its distance"
-    return replace(whole, delay_s=float(np.ceil(wait))), [note]
+    told = f"UAV {flight.uav} takes off after the others have landed, to keep its distance"
+    return replace(whole, delay_s=float(np.ceil(wait))), [told]

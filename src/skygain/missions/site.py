@@ -126,13 +126,17 @@ class Site:
         return self.scenario.altitude_text
 
 
-def open_site(request: MissionNewRequest) -> Site:
+def open_site(request: MissionNewRequest, reading: Reading | None = None) -> Site:
     """Read everything that a mission names, and check that it can be flown.
+
+    Args:
+        request: what is asked for.
+        reading: the city, where it was read already.
 
     Raises:
         InputError: in one line, the first thing that cannot be flown.
     """
-    reading = asked_city(request)
+    reading = asked_city(request) if reading is None else reading
     city = reading.city
     if city.grid.crs is None:
         raise InputError(

@@ -1,8 +1,8 @@
 """Where a UAV is at every moment of its flight, and how near two of them come.
 
-Legs are flown with one speed and one acceleration, with a stop at every corner; that is slower than
-most autopilots fly. Nobody knows moments to the second, so two UAVs keep their separation also when
-one of them is up to `SLIP_S` early or late.
+Legs are flown with one speed and one acceleration, and with a stop at every corner, which the files
+ask for. Nobody knows moments to the second, and accelerations differ: two UAVs keep their
+separation also when each is up to `SLIP_S` early or late, and a share of every stop more.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ __all__ = [
     "ACCELERATION_MPS2",
     "CLIMB_MPS",
     "DESCENT_MPS",
+    "HOLD_S",
     "SLIP_S",
+    "STOP_SLIP",
     "Timeline",
     "first_conflict",
     "leg_seconds",
     "nearest",
+    "runs",
     "timeline",
 ]
 
@@ -24,6 +27,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 CLIMB_MPS = 2.0
 """speed of take-off"""
@@ -31,10 +35,15 @@ DESCENT_MPS = 1.0
 """speed of landing"""
 ACCELERATION_MPS2 = 2.0
 """along a leg"""
-SLIP_S = 5.0
-"""so early or late a UAV may be against another"""
+HOLD_S = 1.0
+"""a stop at a corner lasts so long"""
+SLIP_S = 2.5
+"""so early or late a UAV may be at any time"""
+STOP_SLIP = 0.4
+"""and by so much of the time that a stop costs for each stop before: accelerations of 1.4 to 3.3
+m/s² are within it"""
 TICK_S = 0.25
-"""moments at which positions are compared; the movement in between is added to the distance"""
+"""positions are compared at these moments; the movement in between is added to the distance"""
 _STRAIGHT = np.cos(np.radians(5.0))
 
 
@@ -44,6 +53,8 @@ class Timeline:
 
     ticks_m: NDArray[np.float64]
     """``[tick, (x, y, z)]`` every `TICK_S` from moment 0; NaN while on the ground"""
+    slip_s: NDArray[np.float64]
+    """``[tick]`` so early or late it may be there"""
     reached_s: NDArray[np.float64]
     """``[point]`` moment at which each point of the route is reached"""
     landed_s: float
@@ -83,18 +94,22 @@ def timeline(
     """
     route = np.asarray(route_m, dtype=float)
     climb_s = 0.0 if airborne else (route[0, 2] - ground_m) / CLIMB_MPS
-    runs = _runs(route)
+    parts = runs(route)
     reached = np.zeros(len(route))
     at = delay_s + climb_s
     reached[0] = at
     spans: list[tuple[float, float, NDArray, NDArray]] = []
-    for first, last in runs:
+    stops_s: list[float] = []
+    for first, last in parts:
         lengths = np.linalg.norm(np.diff(route[first : last + 1], axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(lengths)])
         total_s = float(leg_seconds(along[-1:], speed_mps)[0])
         reached[first : last + 1] = at + _moments(along, along[-1], speed_mps)
         spans.append((at, total_s, along, route[first : last + 1]))
         at += total_s
+        if last < len(route) - 1:
+            stops_s.append(at)
+            at += HOLD_S
     down_s = (route[-1, 2] - ground_m) / DESCENT_MPS
     landed = at + down_s
     moments = np.arange(0.0, landed + TICK_S, TICK_S)
@@ -109,13 +124,18 @@ def timeline(
             ticks[inside] = np.stack(
                 [np.interp(done, along, points[:, axis]) for axis in range(3)], axis=1
             )
+    for moment in stops_s:
+        held = (moments >= moment) & (moments < moment + HOLD_S)
+        ticks[held] = [np.interp(moment, reached, route[:, axis]) for axis in range(3)]
     down = (moments >= at) & (moments < landed)
     ticks[down] = route[-1]
     ticks[down, 2] -= (moments[down] - at) * DESCENT_MPS
-    return Timeline(ticks, reached, landed)
+    per_stop = STOP_SLIP * speed_mps / ACCELERATION_MPS2
+    slip = SLIP_S + per_stop * np.searchsorted(np.array(stops_s), moments, side="right")
+    return Timeline(ticks, np.asarray(slip, dtype=np.float64), reached, landed)
 
 
-def _runs(route: NDArray[np.float64]) -> list[tuple[int, int]]:
+def runs(route: NDArray[np.float64]) -> list[tuple[int, int]]:
     """First and last point of each part that is flown without a stop."""
     if len(route) < 2:
         return []
@@ -147,37 +167,41 @@ def _moments(along_m: NDArray[np.float64], length_m: float, speed_mps: float) ->
     return np.interp(along_m, covered, fine)
 
 
-def nearest(one: Timeline, other: Timeline, speed_mps: float, slip_s: float = SLIP_S) -> float:
-    """A distance in metres that two flights are never nearer than, as long as one is at most
-    ``slip_s`` early or late; infinite if they are never in the air together."""
-    return _closest(one, other, speed_mps, slip_s)[0]
+def nearest(one: Timeline, other: Timeline, speed_mps: float) -> float:
+    """A distance in metres that two flights are never nearer than, as long as each is within its
+    slip; infinite if they are never near each other."""
+    for reach_m in (15.0, 30.0, 60.0, 120.0, 240.0):
+        _, gaps = _meetings(one, other, reach_m)
+        if len(gaps):
+            return float(gaps.min()) - _between_ticks(speed_mps)
+    return float("inf")
 
 
 def first_conflict(
-    one: Timeline, other: Timeline, speed_mps: float, apart_m: float, slip_s: float = SLIP_S
+    one: Timeline, other: Timeline, speed_mps: float, apart_m: float
 ) -> float | None:
     """The first moment of ``one`` at which the two may come nearer than ``apart_m``; ``None`` if
     never."""
-    _, per_tick = _closest(one, other, speed_mps, slip_s)
-    near = np.flatnonzero(per_tick < apart_m)
-    return float(near[0] * TICK_S) if len(near) else None
+    ticks, _ = _meetings(one, other, apart_m + _between_ticks(speed_mps))
+    return float(ticks.min() * TICK_S) if len(ticks) else None
 
 
-def _closest(
-    one: Timeline, other: Timeline, speed_mps: float, slip_s: float
-) -> tuple[float, NDArray[np.float64]]:
-    a, b = one.ticks_m, other.ticks_m
-    slip = round(slip_s / TICK_S)
-    per_tick = np.full(len(a), np.inf)
-    for shift in range(-slip, slip + 1):
-        low, high = max(0, -shift), min(len(a), len(b) - shift)
-        if high <= low:
-            continue
-        gap = a[low:high] - b[low + shift : high + shift]
-        distance = np.sqrt(np.einsum("ij,ij->i", gap, gap))
-        per_tick[low:high] = np.fmin(per_tick[low:high], distance)
-    # between two ticks each UAV moves speed x tick at most, half of it from the nearer one, and
-    # slips between two shifts cost half a tick more
-    top = max(speed_mps, CLIMB_MPS)
-    per_tick = per_tick - top * TICK_S * 1.5
-    return float(per_tick.min(initial=np.inf)), per_tick
+def _between_ticks(speed_mps: float) -> float:
+    """Metres that two UAVs may be nearer than at the ticks next to a moment."""
+    return max(speed_mps, CLIMB_MPS) * TICK_S
+
+
+def _meetings(
+    one: Timeline, other: Timeline, reach_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Ticks of ``one`` at which it may be within ``reach_m`` of ``other``, and how near."""
+    a = np.flatnonzero(np.isfinite(one.ticks_m[:, 0]))
+    b = np.flatnonzero(np.isfinite(other.ticks_m[:, 0]))
+    if not len(a) or not len(b):
+        return np.empty(0, dtype=np.int64), np.empty(0)
+    near = cKDTree(one.ticks_m[a]).sparse_distance_matrix(
+        cKDTree(other.ticks_m[b]), reach_m, output_type="coo_matrix"
+    )
+    first, second = a[near.row], b[near.col]
+    together = np.abs(first - second) * TICK_S <= one.slip_s[first] + other.slip_s[second]
+    return first[together], near.data[together]
