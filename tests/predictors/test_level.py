@@ -31,12 +31,14 @@ OURS = {
 """predictors that no single name builds"""
 SCENARIO = example_scenario((26, 26), transmitter=False)
 """one city, so that networks compute their maps of it once"""
+TOLD = example_scenario((26, 26))
+"""the same for those that must be told the transmitter"""
 TOLERANCE_DB = {"gstools": 1e-2}
 """its least squares stop early"""
 
 
 def _maps(predictor, shift_db, n, noise_std_db, floor):
-    scenario = SCENARIO
+    scenario = TOLD if predictor.transmitter == "required" else SCENARIO
     rng = np.random.default_rng(5)
     x, y = scenario.grid.xy_m(scenario.grid.cells).T
     gain = -100 + 12 * np.sin(x / 20) + 10 * np.cos(y / 25) + 2 * rng.standard_normal(len(x))

@@ -22,6 +22,7 @@ PLANNERS.register(
 )
 PLANNERS.register("sequential-greedy", "skygain.planners.sequential_greedy:SequentialGreedyPlanner")
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
+PLANNERS.register("min-cost-path", "skygain.planners.min_cost_path:MinCostPathPlanner")
 PLANNERS.register("lookahead", "skygain.planners.lookahead:LookaheadPlanner")
 PLANNERS.register("dqn", "skygain.planners.learned:dqn_planner")
 PLANNERS.register("imitation", "skygain.planners.learned:imitation_planner")

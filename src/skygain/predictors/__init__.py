@@ -30,6 +30,15 @@ PREDICTORS.register("unet", "skygain.predictors.networks.unet:UNetPredictor")
 PREDICTORS.register(
     "residual-kriging", "skygain.predictors.kriging.residual:ResidualKrigingPredictor"
 )
+PREDICTORS.register(
+    "fixed-rank-kriging", "skygain.predictors.kriging.fixed_rank:FixedRankKrigingPredictor"
+)
+PREDICTORS.register(
+    "malmirchegini", "skygain.predictors.kriging.malmirchegini:MalmircheginiPredictor"
+)
+PREDICTORS.register(
+    "random-forest", "skygain.predictors.rivals.random_forest:RandomForestPredictor"
+)
 PREDICTORS.register("sklearn-gp", "skygain.predictors.rivals.sklearn_gp:ScikitLearnPredictor")
 PREDICTORS.register("pykrige", "skygain.predictors.rivals.pykrige:PyKrigePredictor")
 PREDICTORS.register("gstools", "skygain.predictors.rivals.gstools:GSToolsPredictor")
