@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skygain.cities import open_city, read_city
-from skygain.cities.scenes import SCENES, load_scene, scene_city, scene_heights
+from skygain.cities.scenes import SCENES, load_scene, scene_city, scene_heights, scene_part
 from skygain.grid import Grid
 from skygain.ground.errors import InputError
 
@@ -97,3 +97,14 @@ def test_unknown_scenes_and_boxes() -> None:
         scene_city("simple_street_canyon", box=(1000, 1000, 1100, 1100))
     with pytest.raises(InputError, match="smaller `box` or a larger `spacing_m`"):
         scene_city("simple_street_canyon", spacing_m=0.01)
+
+
+def test_parts_of_a_scene_differ_by_seed_alone() -> None:
+    one, again, other = (scene_part("etoile", seed, side=96) for seed in (4, 4, 5))
+    assert np.array_equal(one.height_m, again.height_m)
+    assert not np.array_equal(one.height_m, other.height_m)
+    assert one.grid == other.grid == Grid((96, 96), 4.0)
+    whole = scene_city("etoile").height_m
+    windows = np.lib.stride_tricks.sliding_window_view(whole, (96, 96))
+    assert any((window == other.height_m).all() for row in windows for window in row)
+    assert 0.15 <= (other.height_m > 0).mean() <= 0.6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["run_build", "run_import", "run_info"]
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 from skygain.app.progress import Progress
@@ -13,14 +13,22 @@ from skygain.app.signals import told_of_signals
 
 if TYPE_CHECKING:
     from skygain.datasets.own import OwnCities
+    from skygain.datasets.presets import BuildConfig
 
 
 def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
     """Build the data set; returns what it holds."""
     from skygain.datasets.builder import build_dataset
+    from skygain.datasets.presets import preset_config
     from skygain.datasets.summary import describe_dataset
 
-    what = _own(request, progress) if request.preset is None else request.preset
+    what: BuildConfig | OwnCities
+    if request.preset is None:
+        what = _own(request, progress)
+    else:
+        what = preset_config(request.preset)
+        if request.altitudes_m is not None:
+            what = replace(what, altitudes_m=request.altitudes_m)
     progress.phase("tracing cities")
     ended = "ended; finished cities are kept, the same command goes on"
     with told_of_signals(lambda: ended, ended):
@@ -47,7 +55,7 @@ def _own(request: DatasetBuildRequest, progress: Progress) -> OwnCities:
         splits=request.splits,
         side=request.side,
         transmitters=request.transmitters,
-        altitudes_m=request.altitudes_m,
+        altitudes_m=request.altitudes_m or (10.0,),
         options=CityOptions(**{name: getattr(request, name) for name in names}),
         frequency_hz=request.frequency_hz,
         seed=request.seed,

@@ -213,8 +213,8 @@ class OwnCitiesRequest(Request):
     """footprints, height rasters, scenes, seeds; several after one another"""
     transmitters: int = 6
     """transmitters per city, at random places of the open ground"""
-    altitudes_m: tuple[float, ...] = (10.0,)
-    """altitudes of the maps, separated by commas"""
+    altitudes_m: tuple[float, ...] | None = None
+    """altitudes of the maps, separated by commas; the preset's, or 10, when left out"""
     splits: tuple[str, ...] = ("T4",)
     """split of each city, or one for all: T1 trains, T2 validates, T3 trains policies, T4 tests"""
     side: int | None = None
@@ -243,13 +243,15 @@ class DatasetBuildRequest(OwnCitiesRequest):
 
     Examples:
         skygain dataset build --preset small --out cities.zarr.zip --workers 2
+        skygain dataset build --preset paper --altitudes 10,14,18,22,26,30 --out six.zarr.zip
         skygain dataset build --cities a.geojson b.tif --transmitters 6 --out mine.zarr.zip
     """
 
     runs: ClassVar[str] = "skygain.app.data_sets:run_build"
 
     preset: str | None = None
-    """paper, small, tiny, sample (what ships), more-cities, more-altitudes, more-kinds or large"""
+    """paper, small, tiny, sample (what ships), more-cities, more-altitudes, more-kinds, more-scenes
+    or large"""
     out: Path
     """the data set to write, PATH.zarr.zip"""
     workers: int = 1

@@ -11,9 +11,18 @@ made from the raster.
 
 from __future__ import annotations
 
-__all__ = ["SCENES", "load_scene", "read_scene", "scene_city", "scene_heights"]
+__all__ = [
+    "SCENES",
+    "TOWNS",
+    "load_scene",
+    "read_scene",
+    "scene_city",
+    "scene_heights",
+    "scene_part",
+]
 
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +32,7 @@ from numpy.typing import NDArray
 from skygain.cities.reading import CityOptions, Reading, city_name, existing_file
 from skygain.city import City
 from skygain.frames import Bounds, box_in_metres, grid_over
-from skygain.grid import Grid
+from skygain.grid import Grid, random_corner
 from skygain.ground.errors import InputError, require
 
 SCENES = {
@@ -36,6 +45,13 @@ SCENES = {
 }
 """scenes that are cities, and which object of each is the ground"""
 
+TOWNS = ("munich", "etoile", "florence", "san_francisco")
+"""those that are large enough to take parts from"""
+
+_STREAM = 1867
+"""parts are drawn from this stream of random numbers and their seed"""
+_BUILT_SHARE = (0.15, 0.6)
+"""least and most of a part that is built up, so that it is neither a park nor one block"""
 _NOTHING_M = 0.1
 """what rises less above the ground is ground: the seams of the mesh"""
 
@@ -134,6 +150,31 @@ def scene_city(name: str, *, spacing_m: float = 4.0, box: Bounds | None = None) 
     name = _known(name)
     scene = load_scene(name, merge_shapes=False)
     return _city_of(scene, SCENES[name], spacing_m, box, f"scene:{name}")
+
+
+def scene_part(name: str, seed: int, *, side: int = 121, spacing_m: float = 4.0) -> City:
+    """A random square of one of `TOWNS`, which begins a frame of its own.
+
+    Args:
+        name: one of `TOWNS`.
+        seed: the same seed gives the same square.
+        side: cells along a side.
+        spacing_m: side of a cell.
+
+    Raises:
+        InputError: there is no such scene, it is smaller, or the ray tracer cannot be used here.
+    """
+    whole, rng = _whole(_known(name), spacing_m), np.random.default_rng([_STREAM, seed])
+    while True:
+        row, col = random_corner(whole.grid.shape, (side, side), rng)
+        part = whole.cropped(row, col, (side, side), rebase=True)
+        if _BUILT_SHARE[0] <= (part.height_m > 0).mean() <= _BUILT_SHARE[1]:
+            return replace(part, name=f"{name}-{seed}")
+
+
+@lru_cache(maxsize=len(TOWNS))
+def _whole(name: str, spacing_m: float) -> City:
+    return scene_city(name, spacing_m=spacing_m)
 
 
 def _city_of(

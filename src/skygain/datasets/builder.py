@@ -246,7 +246,7 @@ def _source_digest() -> str:
     """
     root = Path(skygain.__file__).parent
     digest = hashlib.sha256()
-    generators = [root / "cities" / f"{kind}.py" for kind in ("european", "manhattan")]
+    generators = [root / "cities" / f"{kind}.py" for kind in ("european", "manhattan", "scenes")]
     for file in [*generators, *sorted((root / "propagation").rglob("*.py"))]:
         tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from skygain.cities.european import KINDS, european_city
 from skygain.cities.manhattan import ManhattanConfig, manhattan_city, transmitter_sites
+from skygain.cities.scenes import TOWNS, scene_part
 from skygain.city import City
 from skygain.datasets.layout import SPLITS
 from skygain.ground.errors import InputError
@@ -54,7 +55,8 @@ class BuildConfig:
     city: ManhattanConfig = field(default_factory=ManhattanConfig)
     """how Manhattan cities are drawn"""
     kinds: tuple[str, ...] = ()
-    """kinds of European towns, by name, that take turns instead of Manhattan cities"""
+    """kinds of European towns and scenes of Sionna RT, by name, that take turns instead of
+    Manhattan cities; of a scene each seed is another part"""
 
     def __post_init__(self) -> None:
         demands = {
@@ -69,7 +71,8 @@ class BuildConfig:
             and min(self.altitudes_m) > 0,
             "frequency_hz must be positive": self.frequency_hz > 0,
             "seed must be 0 or more": self.seed >= 0,
-            f"kinds must be among {', '.join(KINDS)}": set(self.kinds) <= set(KINDS),
+            f"kinds must be among {', '.join([*KINDS, *TOWNS])}": set(self.kinds)
+            <= {*KINDS, *TOWNS},
         }
         for demand, met in demands.items():
             if not met:
@@ -78,7 +81,8 @@ class BuildConfig:
     def drawn(self, seed: int) -> City:
         """The city of a seed."""
         if self.kinds:
-            return european_city(seed, KINDS[self.kinds[seed % len(self.kinds)]])
+            kind = self.kinds[seed % len(self.kinds)]
+            return european_city(seed, KINDS[kind]) if kind in KINDS else scene_part(kind, seed)
         return manhattan_city(seed, self.city)
 
     def sites(self, seed: int, city: City) -> NDArray[np.float64]:
@@ -97,7 +101,10 @@ class BuildConfig:
     @property
     def title(self) -> str:
         """Of the data set."""
-        return f"{'European' if self.kinds else 'Manhattan'} cities, {self.name}"
+        kind = (
+            "Manhattan" if not self.kinds else "European" if self.kinds[0] in KINDS else "Scenes'"
+        )
+        return f"{kind} cities, {self.name}"
 
     @property
     def extent_m(self) -> float:
@@ -131,6 +138,7 @@ PRESETS = {
             name="more-altitudes", cities=(100, 0, 40, 0), max_sites=6, altitudes_m=(20.0, 30.0)
         ),
         BuildConfig(name="more-kinds", cities=(150, 0, 0, 0), max_sites=6, kinds=tuple(KINDS)),
+        BuildConfig(name="more-scenes", cities=(40, 0, 0, 0), max_sites=6, kinds=TOWNS),
         BuildConfig(
             name="large",
             cities=(0, 6, 0, 6),
@@ -145,7 +153,8 @@ PRESETS = {
 see that everything works; ``sample`` is what ships inside the package; ``more-cities`` are training
 cities to add to another data set (10 m only), ``more-altitudes`` has the first 100 of them and 40
 cities of T3 at 20 and 30 m; ``more-kinds`` are 150 towns with European street patterns, centres,
-estates and suburbs in turn;
+estates and suburbs in turn, ``more-scenes`` 40 parts of Sionna RT's scenes of real towns (needs
+the extra ``raytrace``);
 ``large`` has maps of 256 × 256 cells for swarms of many UAVs,
 Gudmundson fields over cities of 10 × 10 blocks, and is built in seconds"""
 
