@@ -239,4 +239,6 @@ def _help(one: Asked) -> str:
     if one.kind is bool or one.default in (None, (), {}):
         return text
     default = one.default / one.scale if one.scale != 1.0 else one.default
-    return f"{text}  [{default:g}]" if isinstance(default, float) else f"{text}  [{default}]"
+    parts = default if isinstance(default, tuple) else (default,)
+    shown = ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in parts)
+    return f"{text}  [{shown}]"

@@ -126,13 +126,24 @@ def _completed(maps: GainMaps, name: str, told: Mapping[str, Any]) -> GainMaps:
             f"{name}: transmitter_m has shape {place.shape}, expected x, y and z for each of "
             f"{len(maps.gain_db)} maps"
         )
-    numbers = {}
-    for key in ("altitude_m", "frequency_hz"):
-        if (value := told.get(key)) is not None:
-            numbers[key] = float(np.asarray(value).flat[0])
-            if not 0 < numbers[key] < np.inf:
-                raise InputError(f"{name}: {key} must be above 0, got {numbers[key]:g}")
-    return replace(maps, transmitters_m=place, height_m=height, notes=tuple(notes), **numbers)
+    return replace(
+        maps,
+        transmitters_m=place,
+        height_m=height,
+        altitude_m=_number(name, told, "altitude_m"),
+        frequency_hz=_number(name, told, "frequency_hz"),
+        notes=tuple(notes),
+    )
+
+
+def _number(name: str, told: Mapping[str, Any], key: str) -> float | None:
+    """One positive number that a file tells, if it does."""
+    if told.get(key) is None:
+        return None
+    value = float(np.asarray(told[key]).flat[0])
+    if not 0 < value < np.inf:
+        raise InputError(f"{name}: {key} must be above 0, got {value:g}")
+    return value
 
 
 _Read = tuple[Grid, NDArray[Any], Mapping[str, Any]]

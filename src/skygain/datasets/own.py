@@ -139,7 +139,7 @@ def own_cities(
         raise InputError(f"`altitudes_m` must be above 0 m and different, got {list(altitudes)}")
     options = options or CityOptions()
     readings = [read_city(city, options) for city in cities]
-    splits = splits_of(splits, cities)
+    each = splits_of(splits, cities)
     grids = [reading.city.grid for reading in readings]
     spacing = grids[0].spacing_m
     for city, grid in zip(cities, grids, strict=True):
@@ -168,7 +168,7 @@ def own_cities(
     ]
     return OwnCities(
         tuple(map(str, cities)),
-        splits,
+        each,
         (rows, cols),
         float(spacing),
         altitudes,

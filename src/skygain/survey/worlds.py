@@ -187,7 +187,8 @@ def _mapped_world(place: PlaceRequest, altitude_m: float, rng: np.random.Generat
         notes.append(f"map {number} of {len(maps.gain_db)} in {place.truth.name} is flown")
     else:
         number = 0
-    gain, grid, position = maps.gain_db[number], maps.grid, maps.transmitters_m[number]
+    gain, grid = maps.gain_db[number], maps.grid
+    x, y, z = maps.transmitters_m[number].tolist()
     counts: dict[str, int] = {}
     if place.city is not None:
         if _dataset_and_link(place.city) is not None:
@@ -206,15 +207,14 @@ def _mapped_world(place: PlaceRequest, altitude_m: float, rng: np.random.Generat
     if built:
         counts["cells without a gain count as built up"] = built
     if place.transmitter != "random":
-        position = asked_position(place.transmitter, city.grid)
+        x, y, z = asked_position(place.transmitter, city.grid)
         notes = [note for note in notes if "where the transmitter is" not in note]
-    at = (float(position[0]), float(position[1]), float(position[2]))
-    check_transmitter(city, at)
+    check_transmitter(city, (x, y, z))
     row, col, window = _crop_corner(city.grid.shape, place.crop or 0, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
     return World(
         city.cropped(row, col, window),
-        at,
+        (x, y, z),
         np.where(np.isfinite(gain), gain, np.nanmin(gain))[rows, cols].astype(np.float32),
         None,
         altitude_m,
