@@ -226,7 +226,7 @@ def _of_nc(path: Path, wanted: str | None, spacing_m: float | None) -> _Read:
         raise InputError(f"{path.name}: y and x must be cell centres at one equal step in metres")
     crs = file["spatial_ref"].attrs.get("crs") if "spatial_ref" in file.coords else None
     origin = float(file["x"].values[0]), float(file["y"].values[0])
-    grid = Grid(found.shape[-2:], round(float(steps.mean()), 6), origin, crs)
+    grid = Grid((found.sizes["y"], found.sizes["x"]), round(float(steps.mean()), 6), origin, crs)
     told = dict(_of_attributes(file.attrs, 1 if found.ndim == 2 else len(found)))
     for name in ("height_m", "transmitter_m", "altitude_m", "frequency_hz"):
         if name in file:
@@ -254,7 +254,8 @@ def _of_npz(path: Path, wanted: str | None, spacing_m: float | None) -> _Read:
     if not 0 < side < np.inf:
         raise InputError(f"{path.name} does not say how large its cells are; give `spacing_m`")
     x, y = np.asarray(told.get("origin_m", (0.0, 0.0)), dtype=float).ravel()[:2]
-    return Grid(gain.shape[-2:], side, (float(x), float(y))), gain, told
+    rows, cols = gain.shape[-2:]
+    return Grid((rows, cols), side, (float(x), float(y))), gain, told
 
 
 def _of_attributes(tags: Mapping[str, Any], maps: int) -> dict[str, Any]:

@@ -111,10 +111,10 @@ def _record(
             raise InputError(
                 "maps of one `city` must lie on the same cells; import them one by one"
             )
-        height = np.nan_to_num(seen_on(grid, city.grid, city.height_m))
+        found = np.nan_to_num(seen_on(grid, city.grid, city.height_m))
     else:
-        height = group[0].height_m
-    town = City(grid, np.zeros(grid.shape) if height is None else height, name=group[0].name)
+        found = np.zeros(grid.shape) if group[0].height_m is None else group[0].height_m
+    town = City(grid, np.asarray(found, dtype=np.float32), name=group[0].name)
     town, built = built_over(town, gain, altitude_m)
     notes = [f"{town.name}: {built} cells without a gain count as built up"] if built else []
     sites = np.concatenate([one.transmitters_m for one in group])

@@ -198,7 +198,9 @@ def _mapped_world(place: PlaceRequest, altitude_m: float, rng: np.random.Generat
         counts = dict(reading.counts)
         gain = seen_on(city.grid, grid, gain)
     else:
-        height = np.zeros(grid.shape) if maps.height_m is None else maps.height_m
+        height = maps.height_m
+        if height is None:
+            height = np.zeros(grid.shape, np.float32)
         city = City(grid, height, name=maps.name)
     if maps.altitude_m is not None and not isclose(maps.altitude_m, altitude_m):
         notes.append(f"{place.truth.name} is at {maps.altitude_m:g} m, and so is the flight")
