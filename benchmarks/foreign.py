@@ -90,7 +90,7 @@ def foreign(run: Run) -> list[Table]:
             mean = {one: np.mean(values, axis=0) for one, values in scores.items()}
             rows += _rows(name, MAPS.get(name, "right"), mean)
         title = (
-            f"{planner}, {o.surveys} surveys of each kind, 96 × 96 cells of 4 m at 10 m, 3 UAVs, "
+            f"{planner}, surveys of each kind: {o.surveys}; 96 × 96 cells of 4 m at 10 m, 3 UAVs, "
             "cluster start. RMSE in dB over unvisited outdoor cells, mean over surveys; in "
             "brackets against the best of "
             f"{', '.join(RIVALS)}. GoF and cover of the 90 % interval at T = {o.steps[-1]}."

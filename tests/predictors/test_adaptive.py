@@ -100,7 +100,7 @@ def test_a_foreign_map_costs_little(rng: np.random.Generator) -> None:
 
 
 def test_neighbouring_readings_count_once() -> None:
-    votes = Votes.none(1).with_forecast(
+    votes = Votes.none([0.0]).with_forecast(
         Forecast.of(
             OPEN,
             np.array([40 * 20 + 20]),
@@ -168,6 +168,13 @@ def test_told_gains_the_operator_keeps_their_level() -> None:
     )
     assert told.offset_db == (0.0, 0.0)
     assert free.offset_db[0] != 0.0
+
+
+def test_without_a_building_on_the_map_the_operator_does_not_lead() -> None:
+    mapped = example_scenario((14, 12), transmitter=False)
+    flat = Scenario(City(mapped.grid, np.zeros(mapped.grid.shape)))
+    leaders = [int(AdaptivePredictor().begin(s).weight.argmax()) for s in (mapped, flat)]
+    assert leaders == [0, 1]
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,8 @@ from skygain.scenario import Scenario
 
 LEVELS = ("any", "gain")
 """what may be said of the readings' level"""
+SECOND_LOG_ODDS = -3.0
+"""log odds of the methods that do not lead, before any reading"""
 LEAST_BATCH = 6
 """readings that are taken in together at least; more come one part after the other, so that the
 later ones judge what the earlier ones taught"""
@@ -107,6 +109,10 @@ class AdaptivePredictor(Predictor):
         """The beliefs of all methods before the first measurement."""
         beliefs = tuple(method.begin(scenario) for method in self.methods)
         drifts = sum(self.drift and isinstance(belief, OperatorBelief) for belief in beliefs)
+        # A network that learned cities has nothing to go by on a map without a building.
+        mapped, plain = scenario.city.height_m.any(), [not m.needs_gain for m in self.methods]
+        leads = plain if not mapped and any(plain) else [k == 0 for k in range(len(beliefs))]
+        prior = [0.0 if lead else SECOND_LOG_ODDS for lead in leads + [False] * drifts]
         nothing = np.empty(0)
         return AdaptiveBelief(
             scenario=scenario,
@@ -116,7 +122,7 @@ class AdaptivePredictor(Predictor):
             offset_db=(0.0,) * len(beliefs),
             drifts=(None,) * drifts,
             late=(Measurements.none(),) * (len(beliefs) + drifts),
-            votes=Votes.none(len(beliefs) + drifts),
+            votes=Votes.none(prior),
             readings=Readings(nothing.astype(np.int64), nothing, nothing),
             fitted_at=0,
             levelled_at=0,
@@ -267,9 +273,10 @@ class AdaptiveBelief(Belief):
         s, found = self.scenario, []
         operators = [b for b in self.beliefs if isinstance(b, OperatorBelief)]
         for belief, drift in zip(operators, self.drifts, strict=True):
-            maps = (raw_map(belief, z) for z in (s.uav_altitude_m, s.prediction_altitude_m))
+            flown = raw_map(belief, s.uav_altitude_m)
+            predicted = raw_map(belief, s.prediction_altitude_m)
             readings = self.readings if drift is None else drift.readings()
-            found.append(DriftKriging.around(s, *maps, readings))
+            found.append(DriftKriging.around(s, flown, predicted, readings))
         return replace(self, drifts=tuple(found), fitted_at=size)
 
     def _foretelling(self) -> AdaptiveBelief:

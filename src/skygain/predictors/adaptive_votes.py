@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from skygain.grid import Grid
@@ -37,8 +37,6 @@ LAG = 2.5
 NEAR_M = 32.0
 """least distance between a reading that counts and those that the forecast knew, and between two
 that count"""
-SECOND_LOG_ODDS = -3.0
-"""log odds of the second and every further belief against the first, before any reading"""
 MEMORY = 0.85
 """what a score keeps of its weight when a new forecast is made"""
 FREEDOM = 5.0
@@ -88,8 +86,10 @@ class Forecast:
 class Votes:
     """The scores so far. Immutable; `counted` and `with_forecast` return new ones."""
 
+    prior: Array
+    """``[belief]`` log odds before any reading"""
     score: Array
-    """``[belief]`` log score, without the prior"""
+    """``[belief]`` log score"""
     squares: Array
     """``[belief]`` Σ z₀²"""
     votes: float
@@ -100,10 +100,11 @@ class Votes:
     """raveled cells that counted against it"""
 
     @classmethod
-    def none(cls, beliefs: int) -> Votes:
-        """Nothing heard yet."""
-        nothing = np.zeros(beliefs)
-        return cls(nothing, nothing, 0.0, (), np.empty(0, dtype=np.int64))
+    def none(cls, prior: ArrayLike) -> Votes:
+        """Nothing heard yet; ``prior[belief]`` are log odds."""
+        odds = np.asarray(prior, dtype=float)
+        nothing = np.zeros(len(odds))
+        return cls(odds, nothing, nothing, 0.0, (), np.empty(0, dtype=np.int64))
 
     @property
     def factor(self) -> Array:
@@ -113,7 +114,7 @@ class Votes:
     @property
     def weight(self) -> Array:
         """``[belief]`` probability of each, summing to 1."""
-        log_weight = self.score + SECOND_LOG_ODDS * (np.arange(len(self.score)) > 0)
+        log_weight = self.score + self.prior
         weight = np.exp(log_weight - log_weight.max())
         return weight / weight.sum()
 
