@@ -263,3 +263,55 @@ def test_metres_named_as_degrees_say_so(log):
     path = log("lat,lon,rsrp", lambda i: f"{5339495 + i},{601946 + i},{LEVEL[i]}")
     with pytest.raises(InputError, match=r"if these are metres.*columns=x=NAME,y=NAME"):
         read_recording(path)
+
+
+def kml(body: str) -> str:
+    return f"<kml xmlns='http://www.opengis.net/kml/2.2'><Document>{body}</Document></kml>"
+
+
+PLACES = {
+    "remark.kml": (
+        kml,
+        lambda i: (
+            f"<Placemark><description>PCI: 7; RSRP: {LEVEL[i]} dBm</description><Point>"
+            f"<coordinates>{LON[i]},{LAT[i]}</coordinates></Point></Placemark>"
+        ),
+    ),
+    "table.kml": (
+        kml,
+        lambda i: (
+            "<Placemark><description><![CDATA[<table><tr><td>RSRP</td><td>"
+            f"{LEVEL[i]}</td></tr></table>]]></description><Point>"
+            f"<coordinates>{LON[i]},{LAT[i]}</coordinates></Point></Placemark>"
+        ),
+    ),
+    "attributes.gpx": (
+        "<gpx><trk><trkseg>{}</trkseg></trk></gpx>".format,
+        lambda i: (
+            f"<trkpt lat='{LAT[i]}' lon='{LON[i]}'><extensions><cell rsrp='{LEVEL[i]}' "
+            "pci='7'/></extensions></trkpt>"
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_levels_in_remarks_and_attributes(tmp_path, name):
+    whole, row = PLACES[name]
+    (tmp_path / name).write_text(whole("".join(map(row, range(N)))), encoding="utf-8")
+    recording = read_recording(tmp_path / name)
+    np.testing.assert_allclose(recording.latlon, np.column_stack([LAT, LON]))
+    np.testing.assert_allclose(recording.level_db, LEVEL)
+
+
+@pytest.mark.parametrize("points", [False, True])
+def test_columns_of_parquet(tmp_path, points):
+    pytest.importorskip("pyarrow")
+    pandas, shapely = pytest.importorskip("pandas"), pytest.importorskip("shapely")
+    place = {"lat": LAT, "lon": LON}
+    if points:
+        place = {"geometry": shapely.to_wkb(shapely.points(LON, LAT))}
+    pandas.DataFrame({**place, "rsrp": LEVEL}).to_parquet(tmp_path / "p.parquet")
+    recording = read_recording(tmp_path / "p.parquet")
+    np.testing.assert_allclose(recording.latlon, np.column_stack([LAT, LON]))
+    np.testing.assert_allclose(recording.level_db, LEVEL)

@@ -177,7 +177,7 @@ def test_a_box_in_degrees_bounds_the_map():
 
 def test_boxes_and_spacings_that_make_no_sense():
     recording = recorded([[2, 3], [30, 40]], [-90, -91])
-    with pytest.raises(InputError, match="a box is"):
+    with pytest.raises(InputError, match="`box` is"):
         grid_for(recording, 4.0, box=(20, 0, 0, 20))
     with pytest.raises(InputError, match="spacing_m"):
         grid_for(recording, 0.0)

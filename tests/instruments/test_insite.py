@@ -30,6 +30,14 @@ def test_a_loss_becomes_a_gain_on_the_receivers_grid(tmp_path):
     np.testing.assert_allclose(gridded.grid.xy_m(gridded.cell), recording.xy_m)
 
 
+def test_exponents_of_fortran(tmp_path):
+    path = tmp_path / "pl.t001_01.r002.p2m"
+    path.write_text("# Path Loss\n1 1.0D+02 2.0d+02 1.5 3.0E+02 9.1D+01\n")
+    recording = read_recording(path)
+    assert recording.xy_m.tolist() == [[100.0, 200.0]]
+    assert recording.level_db.tolist() == [-91.0]
+
+
 def test_receivers_without_a_path_are_left_out(tmp_path):
     power = [-60.0, -250.0, -70.5, -250.0, -80.0, -90.0]
     recording = read_recording(p2m(tmp_path / "power.t001_01.r002.p2m", "Power (dBm)", power))

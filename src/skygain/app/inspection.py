@@ -19,7 +19,7 @@ from skygain.survey.requests import CityRequest, RecordingRequest
 if TYPE_CHECKING:
     from skygain.app.requests import InspectRequest
 
-_POINTS = (".geojson", ".json", ".gpkg", ".kml", ".kmz")
+_POINTS = (".geojson", ".json", ".gpkg", ".kml", ".kmz", ".parquet")
 """vector files that may hold readings as well as buildings"""
 
 

@@ -79,6 +79,7 @@ def _rows(path: Path) -> tuple[str, list[list[float]], list[int]]:
                 comments.append(plain)
             elif plain:
                 try:
+                    plain = re.sub(r"(?<=[\d.])[dD](?=[+-]?\d)", "e", plain)  # of Fortran
                     rows.append([float(v) for v in re.split(r"[\s,]+", plain)])
                 except ValueError as error:
                     raise InputError(

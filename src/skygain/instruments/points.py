@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = ["POINT_SUFFIXES", "open_points"]
 
 import json
+import re
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,8 +24,14 @@ from skygain.instruments.tables import Columns, Table, quoted_list
 
 _VECTOR = (".gpkg", ".geojson", ".json", ".geojsonl", ".shp", ".fgb", ".jsonl", ".ndjson")
 _XML = (".kml", ".kmz", ".gpx")
-POINT_SUFFIXES = (*_VECTOR, *_XML)
+_PARQUET = (".parquet", ".geoparquet")
+POINT_SUFFIXES = (*_VECTOR, *_XML, *_PARQUET)
 """endings of the files that are read as points"""
+
+_PAIR = re.compile(r"([A-Za-z][\w .()-]{0,30}?)\s*[:=]\s*([^;,\n<]+)")
+"""``RSRP: -72 dBm`` in a remark"""
+_CELLS = re.compile(r"<t[dh][^>]*>\s*([^<]+?)\s*</t[dh]>\s*<td[^>]*>\s*([^<]*?)\s*</td>", re.I)
+"""the same as two cells of a table"""
 
 _LARGEST_KMZ = 2_000_000_000
 
@@ -37,11 +44,40 @@ def open_points(path: Path) -> Table:
     """
     if path.suffix.lower() in _XML:
         return _xml_table(path)
+    if path.suffix.lower() in _PARQUET:
+        return _parquet_table(path)
     if path.suffix.lower() in (".json", ".jsonl", ".ndjson"):
         found = _objects(path)
         if found is not None:
             return found
     return _vector_table(path)
+
+
+def _parquet_table(path: Path) -> Table:
+    """The columns of a Parquet file; points in WKB give the place."""
+    parquet, shapely = require("pyarrow.parquet", "parquet"), require("shapely", "geo")
+    roles: dict[str, str] = {}
+    try:
+        table = parquet.read_table(path)
+        columns: dict[str, NDArray] = {}
+        for name in table.column_names:
+            values = table.column(name).to_numpy(zero_copy_only=False)
+            if isinstance(next((v for v in values if v is not None), None), bytes):
+                points = shapely.from_wkb(values, on_invalid="ignore")
+                x, y = shapely.get_x(points), shapely.get_y(points)
+                degrees = bool((np.abs(x) <= 360).all() and (np.abs(y) <= 90).all())
+                place = ("longitude", "latitude") if degrees else ("x", "y")
+                columns |= dict(zip(place, (x, y), strict=True))
+                roles |= {role: role for role in place}
+            elif values.dtype.kind in "iufbMO":
+                columns[str(name)] = _tidy(values)
+    # pyarrow answers foreign bytes with a dozen kinds of error; each says the file is unusable
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"cannot read {path.name} as Parquet ({reason}); export the readings as CSV"
+        ) from error
+    return table_of(path.name, columns, roles)
 
 
 def _objects(path: Path) -> Table | None:
@@ -211,6 +247,12 @@ def _text(element: ElementTree.Element) -> str:
     return (element.text or "").strip()
 
 
+def _remarks(text: str) -> list[tuple[str, str]]:
+    """Names and values that stand in a remark, as a table or as ``name: value``."""
+    found = _CELLS.findall(text) or _PAIR.findall(text)
+    return [(name.strip(), value.strip()) for name, value in found]
+
+
 def _kml_rows(root: ElementTree.Element) -> Iterator[dict[str, str]]:
     for mark in root.iter():
         if _local(mark) != "Placemark":
@@ -228,6 +270,8 @@ def _kml_rows(root: ElementTree.Element) -> Iterator[dict[str, str]]:
                 row[element.get("name", "")] = value
             elif tag == "SimpleData":
                 row[element.get("name", "")] = _text(element)
+            elif tag == "description":
+                row |= {k: v for k, v in _remarks(_text(element)) if k not in row}
         parts = place.split(",")
         if len(parts) >= 2:
             row |= {"longitude": parts[0].strip(), "latitude": parts[1].strip()}
@@ -245,4 +289,8 @@ def _gpx_rows(root: ElementTree.Element) -> Iterator[dict[str, str]]:
             tag = _local(element)
             if element is not point and len(element) == 0 and _text(element):
                 row.setdefault({"ele": "altitude"}.get(tag, tag), _text(element))
+            if tag in ("cmt", "desc"):
+                row |= {k: v for k, v in _remarks(_text(element)) if k not in row}
+            if element is not point:
+                row |= {k.rpartition("}")[2]: v for k, v in element.items() if k not in row}
         yield row
