@@ -163,7 +163,7 @@ _SERIES += (
     "nr_arfcn",
     "uarfcn",
 )
-_SIGNALS = ("cell_tower_id", "channel_number", "modem")
+_SIGNALS: tuple[str, ...] = ("cell_tower_id", "channel_number", "modem")
 _SIGNALS += ("band", "lte_band", "nr_band", "frequency", "freq", "center_frequency", "channel")
 _SIGNALS += ("ssb", "ssb_index", "ssb_id", "beam", "beam_id", "beam_index", "sector", "sector_id")
 _SIGNALS += ("operator", "network", "plmn", "mnc", "mccmnc", "technology", "tech", "rat")
