@@ -221,6 +221,7 @@ def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
     from skygain.missions.dry_run import dry_run
     from skygain.missions.folder import Mission
     from skygain.missions.next_sortie import open_sortie
+    from skygain.missions.state import quantity_of
 
     links = tuple(str(one) for one in request.link)
     with Mission.opened(request.folder) as mission:
@@ -236,6 +237,11 @@ def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
             raise InputError(
                 f"{len(links)} links for the {len(sortie.flights)} UAVs of sortie {sortie.number}; "
                 "give one `link` for each"
+            )
+        if quantity_of(mission.journal) == "gain":
+            raise InputError(
+                "the mission's readings so far are gains in dB, and a live flight brings levels in "
+                "dBm; begin another mission for it"
             )
         if request.dry_run:
             return dry_run(site, sortie, links)
