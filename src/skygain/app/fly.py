@@ -190,7 +190,7 @@ def fly(
     whole, told_of_areas = bounded(setting.scenario, request)
     scenario = method.visible(whole, predictor)
     rng = np.random.default_rng(start_seed)
-    swarm, told_of_flight = deployed(request, scenario, rng, setting.recorded)
+    swarm, told_of_flight = deployed(request, request, scenario, rng, setting.recorded)
     steps = int(swarm.steps_left.max())
     notes = (*setting.notes, *told_of_areas, *told_of_flight)
     if setting.source and (notes or setting.source["crs"]):

@@ -18,10 +18,6 @@ from skygain.survey.requests import EnduranceRequest, FlightRequest
 from skygain.survey.territory import asked_position
 
 
-class _Flight(FlightRequest, EnduranceRequest):
-    """What is read here of a request."""
-
-
 def asked_homes(text: str, grid: Grid) -> list[tuple[float, float]]:
     """``[home, (x, y)]`` of ``"latitude,longitude;…"`` or ``"x,y;…"`` in metres of the map.
 
@@ -40,7 +36,8 @@ def moves_within(request: EnduranceRequest, spacing_m: float) -> int | None:
 
 
 def deployed(
-    request: _Flight,
+    flight: FlightRequest,
+    endurance: EnduranceRequest,
     scenario: Scenario,
     rng: np.random.Generator,
     among: NDArray[np.bool_] | None = None,
@@ -50,7 +47,8 @@ def deployed(
     With a battery every UAV keeps a way home within it, whatever the planner wants.
 
     Args:
-        request: start, home, steps, battery and rules.
+        flight: start, steps and rules.
+        endurance: home, battery and speed.
         scenario: where they fly.
         rng: draws the cells where no home is given.
         among: ``[row, col]`` cells to begin in, see `skygain.flight.starts.start_cells`.
@@ -58,12 +56,12 @@ def deployed(
     Raises:
         InputError: nobody can take off there, or the battery lasts for no move and back.
     """
-    rules, steps, notes = request.rules, request.steps, []
-    spacing, speed = scenario.grid.spacing_m, request.speed_mps
-    most = moves_within(request, spacing)
+    rules, steps, notes = flight.rules, flight.steps, []
+    spacing, speed = scenario.grid.spacing_m, endurance.speed_mps
+    most = moves_within(endurance, spacing)
     if most is not None:
         rules = replace(rules, return_to_start=True)
-        lasts = f"a battery of {request.battery_min:g} min lasts {most} moves of {spacing:g} m"
+        lasts = f"a battery of {endurance.battery_min:g} min lasts {most} moves of {spacing:g} m"
         if most < 2:
             raise InputError(
                 f"{lasts} at {speed:g} m/s, which is no way there and back; give a larger "
@@ -75,11 +73,11 @@ def deployed(
             f"{lasts} at {speed:g} m/s: each UAV flies {flown} ({took}) and ends them at its home"
         )
         steps = flown
-    if request.home is None:
-        cells = start_cells(request.start, scenario, request.uavs, rng, among)
+    if endurance.home is None:
+        cells = start_cells(flight.start, scenario, flight.uavs, rng, among)
     else:
-        homes = asked_homes(request.home, scenario.grid)
-        cells = home_cells(scenario, homes, request.uavs, rules.min_distance_m)
+        homes = asked_homes(endurance.home, scenario.grid)
+        cells = home_cells(scenario, homes, flight.uavs, rules.min_distance_m)
         at = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in scenario.grid.xy_m(cells)[:8])
         notes.append(f"take-off at x, y = {at}{' …' if len(cells) > 8 else ''} m")
     return Swarm.deployed(scenario, cells, steps, rules), tuple(notes)

@@ -343,7 +343,7 @@ def next_legs(
     cells = [_along(leg, grid) for leg in legs]
     cells = [c[chart.wanted[tuple(c.T)]] for c in cells]
     left = {i for i, c in enumerate(cells) if len(c)}
-    picked = []
+    picked: list[NDArray[np.float64]] = []
     while left and len(picked) < n:
         best = max(sorted(left), key=lambda i: float(worth.gain[tuple(cells[i].T)].mean()))
         left.remove(best)

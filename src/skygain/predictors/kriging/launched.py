@@ -44,16 +44,18 @@ def launched_columns(scenario: Scenario, altitude_m: float) -> Array:
             "`predictor=launched` needs the transmitter's position; give `transmitter`, or "
             "`predictor=operator`, which finds it"
         )
-    gain = _launched(scenario, altitude_m)
+    gain = _launched(scenario, scenario.transmitter_m, altitude_m)
     return np.column_stack([np.ones(gain.size), gain])
 
 
 @lru_cache(maxsize=8)
-def _launched(scenario: Scenario, altitude_m: float) -> Array:
+def _launched(
+    scenario: Scenario, transmitter_m: tuple[float, float, float], altitude_m: float
+) -> Array:
     from skygain.propagation.truth import trace_truth
 
     truth = trace_truth(
-        scenario.city, scenario.transmitter_m, [altitude_m], frequency_hz=scenario.frequency_hz
+        scenario.city, transmitter_m, [altitude_m], frequency_hz=scenario.frequency_hz
     )
     return truth.gain_db[0, 0].astype(float).ravel()
 
