@@ -36,7 +36,7 @@ def surveyed(
 ) -> list[list[float]]:
     """``[score][step]`` of one survey with three UAVs that start together.
 
-    ``adaptive`` is told when readings are gains in dB, as the command line tells it.
+    ``adaptive`` flies as ``adaptive:level=gain`` where readings are gains in dB.
     """
     if method.predictor == "adaptive" and world.level == "gain":
         method = replace(method, predictor="adaptive:level=gain")
