@@ -93,7 +93,8 @@ def foreign(run: Run) -> list[Table]:
             f"{planner}, surveys of each kind: {o.surveys}; 96 × 96 cells of 4 m at 10 m, 3 UAVs, "
             "cluster start. RMSE in dB over unvisited outdoor cells, mean over surveys; in "
             "brackets against the best of "
-            f"{', '.join(one for one in RIVALS if one in o.predictors)}. GoF and cover of the 90 % interval at T = {o.steps[-1]}."
+            f"{', '.join(one for one in RIVALS if one in o.predictors)}. GoF and cover of the 90 % "
+            f"interval at T = {o.steps[-1]}."
         )
         head = ["world", "map", "predictor", *(f"T = {t}" for t in o.steps), "GoF", "90 % cover"]
         tables.append(Table(title, head, rows, part=planner))
