@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
-import resource
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
@@ -43,17 +44,26 @@ def learnt(name: str, side: int, readings: int) -> float:
     return predictor.memory_bytes(grid.size, readings)
 
 
-def peak_mb() -> float:
-    """Largest memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+def resident_mb(key: str) -> float:
+    """``VmRSS``, what this process holds now, or ``VmHWM``, the most it has held since
+    `forget_peak`."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(key):
+            return int(line.split()[1]) * 1024 / 1e6
+    raise RuntimeError(f"this system does not tell {key}")
+
+
+def forget_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5")
 
 
 def grown(name: str, side: int, readings: int) -> list[float]:
-    """Megabytes that the survey added in this process, and that were announced."""
+    """Megabytes that the survey added at its peak in this process, and that were announced."""
     learnt(name, 24, 2 * ROUNDS)  # libraries and compiled kernels
-    before = peak_mb()
+    before = resident_mb("VmRSS")
+    forget_peak()
     said = learnt(name, side, readings)
-    return [peak_mb() - before, said / 1e6]
+    return [resident_mb("VmHWM") - before, said / 1e6]
 
 
 @study(
@@ -73,8 +83,8 @@ def memory(run: Run) -> list[Table]:
     context = multiprocessing.get_context("spawn")
 
     def alone(name: str, side: int, count: int) -> list[float]:
-        with context.Pool(1) as pool:
-            return pool.apply(grown, (name, side, count))
+        with ProcessPoolExecutor(1, context) as pool:
+            return pool.submit(grown, name, side, count).result()
 
     rows = []
     for name in o.predictors:

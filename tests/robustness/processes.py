@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,13 @@ SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP]
 
 
 def skygain(*words: str | Path, **options: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "skygain", *map(str, words)]
+    return started([sys.executable, "-m", "skygain", *map(str, words)], **options)
+
+
+def started(command: list[str], **options: object) -> subprocess.Popen[str]:
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    if os.name == "posix":  # a job in the background ignores Ctrl-C, and so would its children
+        pipes["preexec_fn"] = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     return subprocess.Popen(command, **(pipes | options))  # type: ignore[call-overload]
 
 

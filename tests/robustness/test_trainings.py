@@ -12,7 +12,7 @@ import pytest
 
 from skygain.datasets.sample import SAMPLE
 
-from .processes import SIGNALS, TRIALS, ended, small_disk, wait_for_lines
+from .processes import SIGNALS, TRIALS, ended, small_disk, started, wait_for_lines
 
 pytest.importorskip("torch")
 
@@ -47,7 +47,7 @@ TRAIN = {
 
 def training(folder: Path, recipe: str = "unet") -> subprocess.Popen[str]:
     command = [sys.executable, "-c", TRAIN[recipe], str(SAMPLE), str(folder)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return started(command)
 
 
 @pytest.fixture(scope="module", params=list(TRAIN))

@@ -82,12 +82,6 @@ def test_the_truth_of_a_level_flight_is_that_of_the_same_surface(hill: Path) -> 
     np.testing.assert_allclose(level.truth_db[low], over.truth_db[low], atol=1e-3)
 
 
-def test_rays_over_terrain_are_refused_with_a_way_out(hill: Path) -> None:
-    asked = SurveyRequest(city=str(DATA / "dsm_harbour_hill.tif"), terrain=str(hill))
-    with pytest.raises(InputError, match=r"give `propagation=over-rooftop`"):
-        open_world(asked)
-
-
 def test_areas_bound_the_map_and_zones_the_flight(tmp_path: Path) -> None:
     west, south, east, north = open_world(request("city.geojson")).city.grid.bounds_m
     half = shapely.box(west, south, (west + east) / 2, north)

@@ -55,8 +55,10 @@ from skygain.scenario import Scenario
 
 Array = NDArray[np.float64]
 
+OFFSETS_BYTES = 2000.0
+"""per cell, of the tables by offset and what is computed with them"""
 INFERRED_BYTES = 4000.0
-"""per cell, of the places where the transmitter may stand and their means"""
+"""the same with the places where the transmitter may stand and their means"""
 LEVELS = ("any", "gain")
 """what may be said of the readings' level"""
 
@@ -116,10 +118,10 @@ class KrigingPredictor(Predictor):
         return parameter_file(of) if isinstance(of, str | Path) else shipped_parameters()
 
     def memory_bytes(self, cells: int, readings: int) -> float:
-        """Each reading is tied to every cell, in single precision; a transmitter that has to be
-        found is thought of in many places."""
-        places = INFERRED_BYTES * cells if self.trend == "inferred" else 0.0
-        return super().memory_bytes(cells, readings) + 4.0 * cells * readings + places
+        """Each reading is tied to every cell, in single precision; covariances are looked up by
+        offset, and a transmitter that has to be found is thought of in many places."""
+        held = INFERRED_BYTES if self.trend == "inferred" else OFFSETS_BYTES
+        return super().memory_bytes(cells, readings) + (held + 4.0 * readings) * cells
 
     def begin(self, scenario: Scenario) -> KrigingBelief:
         """The belief before the first measurement.

@@ -23,7 +23,7 @@ from skygain.predictors.networks.network_belief import NetworkBelief
 from skygain.predictors.networks.trained_for import TrainedFor
 from skygain.scenario import Scenario
 
-NETWORKS_BYTES = 4e8
+NETWORKS_BYTES = 4.5e8
 """what both networks take with their weights"""
 
 
