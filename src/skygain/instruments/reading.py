@@ -12,14 +12,13 @@ __all__ = ["MAX_BYTES", "read_recording", "read_series"]
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.frames import parse_crs
 from skygain.ground.errors import InputError
 from skygain.instruments.columns import (
     column_for,
@@ -29,6 +28,8 @@ from skygain.instruments.columns import (
     series_columns,
 )
 from skygain.instruments.levels import MAX_LEVEL_DB, check_levels, in_dbm
+from skygain.instruments.lines import Lines, keep_lines, nothing_left, too_many, without_empty
+from skygain.instruments.placing import check_degrees, placed, rough_metres, turn_degrees
 from skygain.instruments.recording import Recording
 from skygain.instruments.selection import (
     conditions,
@@ -43,9 +44,6 @@ MAX_BYTES = 1_000_000_000
 """largest file read without being asked to; about 20 million readings"""
 
 _TRUE, _FALSE = ("1", "true", "yes", "1.0"), ("", "0", "false", "no", "0.0")
-_LOCAL_SPAN = 1.5
-"""a survey whose x and y span less than this, both in the range of degrees, is in degrees"""
-_DEGREE_M = 111_000.0
 _MOST_BAD, _FEW_BAD = 0.9, 5
 """a column with more fields, by share and number, that are not understood holds something else"""
 
@@ -159,59 +157,6 @@ class _Ask:
             )
 
 
-@dataclass(eq=False)
-class _Lines:
-    """The lines of a table that are still in, and what became of the others."""
-
-    name: str
-    columns: dict[int, NDArray]
-    line: NDArray[np.int64]
-    skip_bad: bool
-    notes: list[str] = field(default_factory=list)
-    skipped: int = 0
-    complaint: str = ""
-
-    def keep(self, mask: NDArray[np.bool_]) -> None:
-        if not mask.all():
-            self.columns = {i: c[mask] for i, c in self.columns.items()}
-            self.line = self.line[mask]
-
-    def bad(self, mask: NDArray[np.bool_], problem: Any) -> NDArray[np.bool_]:
-        """Lines to keep; refuses the file at the first bad line unless they are to be skipped.
-
-        Args:
-            mask: ``[n]`` bad lines.
-            problem: what is wrong with line i of those still in.
-
-        Raises:
-            InputError: there is a bad line.
-        """
-        if mask.any():
-            first = int(np.flatnonzero(mask)[0])
-            text = f"{self.name} line {self.line[first]}: {problem(first)}"
-            if not self.skip_bad:
-                raise InputError(
-                    f"{text}; mend or delete the line, or leave out bad lines with `skip_bad=True`"
-                )
-            self.skipped += int(mask.sum())
-            self.complaint = self.complaint or text
-        return ~mask
-
-    def missing(self, mask: NDArray[np.bool_], what: str, column: NDArray | None) -> None:
-        """Tell of lines left out because something has no value there."""
-        if mask.any():
-            shown = ""
-            if column is not None and column.dtype == object:
-                marks, count = np.unique(texts(column[mask]).astype(str), return_counts=True)
-                shown = ", ".join(f"{m[:20]!r} {c} times" for m, c in zip(marks, count,
-                                                                         strict=True))  # fmt: skip
-                shown = f" ({shown})"
-            first = self.line[np.flatnonzero(mask)[0]]
-            self.notes.append(
-                f"{int(mask.sum())} lines left out: {what} has no value{shown}, first line {first}"
-            )
-
-
 def _read(path: Path, ask: _Ask, by: str | None) -> dict[str, Recording]:
     """Recordings by the value of the column ``by``; of one signal, under an empty name, without
     it."""
@@ -227,14 +172,14 @@ def _read(path: Path, ask: _Ask, by: str | None) -> dict[str, Recording]:
     needed = {*index.values(), *(c.column for c in chosen), *series}
     wanted = sorted(needed | ({split} if split is not None else set()))
     columns, line = table.load(wanted)
-    lines = _Lines(table.name, dict(zip(wanted, columns, strict=True)), line, ask.skip_bad)
+    lines = Lines(table.name, dict(zip(wanted, columns, strict=True)), line, ask.skip_bad)
     lines.notes += [*table.notes, *open_roles]
-    read = _without_empty(lines, index)
+    read = without_empty(lines, index)
     if not read:
         raise InputError(
             f"{table.name} holds a header but no readings; expected one line per reading below it"
         )
-    lines.keep(lines.bad(_too_many(lines), lambda i: f"has more fields than the {len(table.header)}"
+    lines.keep(lines.bad(too_many(lines), lambda i: f"has more fields than the {len(table.header)}"
                          " column names"))  # fmt: skip
     before = dict(lines.columns)
     for condition in chosen:
@@ -243,7 +188,7 @@ def _read(path: Path, ask: _Ask, by: str | None) -> dict[str, Recording]:
         raise nothing_passes(table.name, chosen, before)
     values = _values(lines, table, index, level_name, ask)
     settled = {c.column for c in chosen}
-    place_m = _rough_metres(values)
+    place_m = rough_metres(values)
     if split is None:
         signals = {i: lines.columns[i] for i in series}
         lines.notes += refuse_series(table.name, table.header, signals, chosen, place_m)
@@ -274,27 +219,8 @@ def _split(whole: Recording, label: NDArray, column: str) -> dict[str, Recording
     }
 
 
-def _without_empty(lines: _Lines, index: Mapping[str, int]) -> int:
-    """Pass over lines without anything in any column; the number of the others."""
-    empty = np.ones(len(lines.line), dtype=bool)
-    for column in lines.columns.values():
-        if column.dtype != object:
-            return len(lines.line)
-        at = np.flatnonzero(empty)
-        empty[at] = [t is not None and not str(t).strip() for t in column[at]]
-    lines.keep(~empty)
-    return len(lines.line)
-
-
-def _too_many(lines: _Lines) -> NDArray[np.bool_]:
-    column = next(iter(lines.columns.values()))
-    if column.dtype != object:
-        return np.zeros(len(lines.line), dtype=bool)
-    return np.array([text is None for text in column.tolist()], dtype=bool)
-
-
 def _values(
-    lines: _Lines, table: Table, index: Mapping[str, int], level_name: str, ask: _Ask
+    lines: Lines, table: Table, index: Mapping[str, int], level_name: str, ask: _Ask
 ) -> dict[str, Any]:
     """The checked values of each role, of the lines that remain."""
     header = table.header
@@ -340,13 +266,13 @@ def _values(
             found[role] = found[role] * metres_each(header[index[role]])
             lines.notes.append(f"{role} (column {header[index[role]]!r}) is converted to metres")
     if "latitude" in found:
-        _turn(lines, found, index)
-        _check_degrees(lines, found)
+        turn_degrees(lines, found, index)
+        check_degrees(lines, found)
     if "noise" in found:
         wrong = (found["noise"] < 0) | (found["noise"] > MAX_LEVEL_DB)
         keep = lines.bad(wrong, lambda i: f"the noise is {found['noise'][i]:g} dB, expected a "
                          "standard deviation from 0")  # fmt: skip
-        _keep(lines, found, keep)
+        keep_lines(lines, found, keep)
     if "censored" in index:
         flags = np.array([t.casefold() for t in texts(lines.columns[index["censored"]])])
         wrong = ~np.isin(flags, (*_TRUE, *_FALSE))
@@ -357,118 +283,32 @@ def _values(
             ),
         )
         found["censored"] = np.isin(flags, _TRUE)
-        _keep(lines, found, keep)
+        keep_lines(lines, found, keep)
     if not len(lines.line):
-        raise InputError(_nothing_left(lines))
+        raise InputError(nothing_left(lines))
     quantity = ask.quantity or table.quantity or level_quantity(level_name)
     if quantity == "power":
         found["level"], converted = in_dbm(found["level"], level_name, table.name)
         lines.notes += converted
         none = np.isnan(found["level"])
         lines.missing(none, f"the level ({level_name})", None)
-        _keep(lines, found, ~none)
+        keep_lines(lines, found, ~none)
     wild = np.abs(found["level"]) > 1e6
     keep, told = check_levels(
         found["level"], quantity, level_name, table.name, lines.line, ask.limits
     ) if not wild.all() else (~wild, [])  # fmt: skip
     if not keep.any():
-        raise InputError(_nothing_left(lines) or f"{table.name} holds no level")
+        raise InputError(nothing_left(lines) or f"{table.name} holds no level")
     lines.notes += told
-    _keep(lines, found, keep)
+    keep_lines(lines, found, keep)
     found["kind"] = quantity
     if "altitude" in index:
         found["altitude"] = numbers(lines.columns[index["altitude"]])[0]
     return found
 
 
-def _keep(lines: _Lines, found: dict[str, Any], keep: NDArray[np.bool_]) -> None:
-    lines.keep(keep)
-    for role, values in found.items():
-        found[role] = values[keep]
-
-
-def _nothing_left(lines: _Lines) -> str:
-    if lines.complaint:
-        return (
-            f"all {lines.skipped} lines of {lines.name} are bad, the first because: "
-            f"{lines.complaint}"
-        )
-    return f"{lines.name} holds no reading: " + "; ".join(lines.notes or ("it is empty",))
-
-
-def _turn(lines: _Lines, found: dict[str, Any], index: Mapping[str, int]) -> None:
-    """Degrees with their sign, where letters in a column of their own say south or west, and as
-    degrees where they are whole steps of 1e-7."""
-    for role, axis, letters in (
-        ("north_south", "latitude", "NS"),
-        ("east_west", "longitude", "EWO"),
-    ):
-        if role not in index:
-            continue
-        said = np.array([str(t)[:1].upper() for t in texts(lines.columns[index[role]])])
-        known = np.isin(said, list(letters))
-        if known.mean() > _MOST_BAD:
-            found[axis] = np.where(np.isin(said, ("S", "W")), -1.0, 1.0) * np.abs(found[axis])
-    size = [np.abs(found[axis]) for axis in ("latitude", "longitude")]
-    if all(len(v) and v.min() > 1e7 and (v == np.rint(v)).all() for v in size) and (
-        size[0].max() <= 9e8 and size[1].max() <= 3.6e9
-    ):
-        lines.notes.append("latitude and longitude are steps of 1e-7 degrees")
-        found["latitude"], found["longitude"] = found["latitude"] / 1e7, found["longitude"] / 1e7
-
-
-def _check_degrees(lines: _Lines, found: dict[str, Any]) -> None:
-    latitude, longitude = found["latitude"], found["longitude"]
-    nowhere = (latitude == 0) & (longitude == 0)
-    if nowhere.any():
-        first = lines.line[nowhere][0]
-        lines.notes.append(
-            f"{int(nowhere.sum())} lines left out: the position is 0, 0, which a receiver writes "
-            f"before it knows where it is, first line {first}"
-        )
-        _keep(lines, found, ~nowhere)
-        latitude, longitude = found["latitude"], found["longitude"]
-    wrong = (np.abs(latitude) > 90) | (longitude < -180) | (longitude > 360)
-    keep = lines.bad(wrong, lambda i: _position_problem(latitude[i], longitude[i]))
-    _keep(lines, found, keep)
-
-
-def _position_problem(latitude: float, longitude: float) -> str:
-    """What is wrong with a position in degrees."""
-    size = abs(latitude), abs(longitude)
-    in_minutes = all(v % 100 < 60 for v in size) and 100 < size[0] < 9000 and size[1] < 18_000
-    if in_minutes:
-        return (
-            f"the position is {latitude:.7g}, {longitude:.7g}, no degrees; if these are degrees "
-            "and minutes as NMEA 0183 writes them, convert them to degrees, and if they are "
-            "metres, name them as y and x with `columns=x=NAME,y=NAME`"
-        )
-    if max(abs(latitude), abs(longitude)) > 1000:
-        return (
-            f"the position is {latitude:.7g}, {longitude:.7g}, no degrees; if these are metres, "
-            "name them as y and x with `columns=x=NAME,y=NAME`"
-        )
-    if abs(latitude) > 90:
-        if abs(longitude) <= 90 and abs(latitude) <= 180:
-            return (
-                f"the latitude is {latitude:g}, beyond 90 degrees, so latitude and longitude look "
-                "swapped; name them with `columns=latitude=NAME,longitude=NAME`"
-            )
-        return f"the latitude is {latitude:g}, expected −90 to 90 degrees"
-    return f"the longitude is {longitude:g}, expected −180 to 180 degrees"
-
-
-def _rough_metres(values: Mapping[str, NDArray]) -> NDArray[np.float64]:
-    """``[n, 2]`` places in metres good enough to tell them apart."""
-    if "x" in values:
-        return np.column_stack([values["x"], values["y"]])
-    latitude = values["latitude"]
-    shrink = np.cos(np.deg2rad(latitude.mean()))
-    return np.column_stack([values["longitude"] * shrink, latitude]) * _DEGREE_M
-
-
 def _recording(
-    lines: _Lines, values: dict[str, Any], names: dict[str, str], table: Table, ask: _Ask
+    lines: Lines, values: dict[str, Any], names: dict[str, str], table: Table, ask: _Ask
 ) -> Recording:
     level, kind = _as_gain(values["level"], values["kind"], names["level"], ask, table.name)
     time_s = began_s = None
@@ -486,7 +326,7 @@ def _recording(
     guessed = [f"{r} from {names[r]!r}" for r in names if r not in ask.columns]
     if guessed:
         lines.notes.insert(0, f"read as {values['kind']}: {', '.join(guessed)}")
-    latlon, xy_m, crs = _placed(values, names, table, ask, lines.notes)
+    latlon, xy_m, crs = placed(values, names, table, ask.crs, lines.notes)
     if lines.skipped:
         lines.notes.append(
             f"{lines.skipped} lines that cannot be understood left out, as asked; the first: "
@@ -524,65 +364,3 @@ def _as_gain(
             "the EIRP out (`eirp_dbm`)"
         )
     return (0.0 - level if kind == "loss" else level), "gain"
-
-
-def _placed(
-    values: Mapping[str, NDArray],
-    names: Mapping[str, str],
-    table: Table,
-    ask: _Ask,
-    notes: list[str],
-) -> tuple[NDArray | None, NDArray | None, str | None]:
-    """Degrees or metres, and the projection of the metres."""
-    crs = ask.crs or table.crs
-    parsed = parse_crs(crs)
-    if "latitude" in values:
-        latlon = np.column_stack([values["latitude"], values["longitude"]])
-        if parsed is None or parsed.to_epsg() == 4326:
-            return latlon, None, None
-        raise InputError(
-            f"{table.name} has latitudes and longitudes, which are taken as WGS 84; leave the CRS "
-            f"of the recording, {crs!r}, out (`recording_crs`), or name x and y with "
-            "`columns=x=NAME,y=NAME`"
-        )
-    xy = np.column_stack([values["x"], values["y"]])
-    if parsed is not None and parsed.is_geographic:
-        if not (np.abs(xy) <= (360, 90)).all():
-            raise InputError(
-                f"{crs!r} is in degrees, but columns {names['x']!r} and {names['y']!r} of "
-                f"{table.name} are not ({xy[0, 0]:.7g}, {xy[0, 1]:.7g}); give a projection in "
-                "metres, e.g. `recording_crs=EPSG:32617`"
-            )
-        if parsed.to_epsg() == 4326:
-            return xy[:, ::-1].copy(), None, None
-        return _to_wgs84(xy, parsed), None, None
-    if parsed is None and crs is None and _looks_like_degrees(xy):
-        notes.append(
-            f"columns {names['x']!r} and {names['y']!r} look like degrees: taken as longitude and "
-            "latitude (`recording_crs=local` says they are metres)"
-        )
-        return xy[:, ::-1].copy(), None, None
-    if parsed is None:
-        return None, xy, None
-    if not parsed.is_projected or any(axis.unit_name != "metre" for axis in parsed.axis_info):
-        raise InputError(
-            f"{crs!r} is not a projection in metres; give one for x and y, e.g. "
-            "`recording_crs=EPSG:32617`"
-        )
-    return None, xy, crs
-
-
-def _to_wgs84(xy: NDArray, source: Any) -> NDArray:
-    import pyproj
-
-    lon, lat = pyproj.Transformer.from_crs(source, "EPSG:4326", always_xy=True).transform(*xy.T)
-    return np.column_stack([lat, lon])
-
-
-def _looks_like_degrees(xy: NDArray[np.float64]) -> bool:
-    """Whether x and y can only be longitude and latitude: in their range, broken numbers, and
-    nearer to each other than any survey in metres."""
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    in_range = bool((np.abs(xy) <= (180, 90)).all())
-    several = len(np.unique(xy[:1000], axis=0)) > 2
-    return in_range and several and bool(((high - low) < _LOCAL_SPAN).all())
