@@ -39,7 +39,9 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
         changed[start : start + (len(piece) if kind == 2 else 0)] = b"" if kind == 2 else piece
     elif kind == 4:
         lines = content.split(b"\n")
-        rng.shuffle(lines[:20])
+        head = lines[:20]
+        rng.shuffle(head)
+        lines[:20] = head
         lines.pop(int(rng.integers(len(lines))))
         changed = bytearray(b"\n".join(lines))
     else:
@@ -63,7 +65,7 @@ def complaint_of_city(path: Path) -> str:
         return "heights that are no numbers"
     if city.height_m.min() < 0:
         return "heights below zero"
-    if not city.height_m.any() and not reading.notes:
+    if not city.height_m.any() and not reading.remarks:
         return "a city of nothing without a word"
     return ""
 

@@ -147,23 +147,23 @@ def _divided(xy, faces, fans, halvings, compared, world, fan):
     As in the launch an interval is halved while its borders meet different walls.
     """
     step = 2.0 * math.pi / fans
-    todo = np.empty((halvings + 2, 2))
+    waiting = np.empty((halvings + 2, 2))
     level = np.empty(halvings + 2, dtype=np.int64)
     parts = 0
     for number in range(fans):
         middle = (number + 0.5) * step
         if _inside_wedge(middle, faces):
             continue
-        todo[0, 0], todo[0, 1], level[0] = number * step, step, 0
+        waiting[0, 0], waiting[0, 1], level[0] = number * step, step, 0
         n = 1
         while n:
             n -= 1
-            low, width, deep = todo[n, 0], todo[n, 1], level[n]
+            low, width, deep = waiting[n, 0], waiting[n, 1], level[n]
             if deep < halvings and (
                 _mark(low, xy, compared, world) != _mark(low + width, xy, compared, world)
             ):
                 for half in range(2):
-                    todo[n, 0], todo[n, 1] = low + half * 0.5 * width, 0.5 * width
+                    waiting[n, 0], waiting[n, 1] = low + half * 0.5 * width, 0.5 * width
                     level[n] = deep + 1
                     n += 1
                 continue

@@ -95,7 +95,7 @@ def launch_sector(
     step = 2.0 * math.pi / total
     # a border that hits walls of a square lattice end-on would be ambiguous
     offset = 0.1234567 * step
-    todo = np.empty((halvings + 2, 2))
+    waiting = np.empty((halvings + 2, 2))
     marks = np.empty((halvings + 2, 2), dtype=np.int64)
     level = np.empty(halvings + 2, dtype=np.int64)
     traced = 0
@@ -103,19 +103,19 @@ def launch_sector(
     for number in range(begin, end):
         left = right
         right = signature(offset + (number + 1) * step, source, depth, world)
-        todo[0, 0], todo[0, 1] = offset + number * step, step
+        waiting[0, 0], waiting[0, 1] = offset + number * step, step
         marks[0, 0], marks[0, 1], level[0] = left, right, 0
         n = 1
         while n:
             n -= 1
-            low, width, deep = todo[n, 0], todo[n, 1], level[n]
+            low, width, deep = waiting[n, 0], waiting[n, 1], level[n]
             mark_low, mark_high = marks[n, 0], marks[n, 1]
             middle = low + 0.5 * width
             if mark_low != mark_high and deep < halvings:
                 mark = signature(middle, source, depth, world)
-                todo[n, 0], todo[n, 1], level[n] = middle, 0.5 * width, deep + 1
+                waiting[n, 0], waiting[n, 1], level[n] = middle, 0.5 * width, deep + 1
                 marks[n, 0], marks[n, 1] = mark, mark_high
-                todo[n + 1, 0], todo[n + 1, 1], level[n + 1] = low, 0.5 * width, deep + 1
+                waiting[n + 1, 0], waiting[n + 1, 1], level[n + 1] = low, 0.5 * width, deep + 1
                 marks[n + 1, 0], marks[n + 1, 1] = mark_low, mark
                 n += 2
                 continue
