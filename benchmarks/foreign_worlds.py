@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks.unseen import ALTITUDE_M, INNER, MARGIN, SIDE, SPACING_M, drawn_window
 from skygain.cities.scenes import scene_city
 from skygain.city import City
 from skygain.datasets.cases import Case, survey_cases
@@ -31,9 +32,6 @@ from skygain.propagation.sionna import trace_gain_db
 from skygain.propagation.truth import trace_truth
 from skygain.scenario import Scenario
 
-SIDE, MARGIN, SPACING_M, ALTITUDE_M = 96, 26, 4.0, 10.0
-OPEN_SHARE, BUILT_SHARE = 0.3, 0.1
-"""a window with less open ground or fewer buildings than this is drawn again"""
 RAYS = 30_000_000
 """of Sionna RT, for one transmitter"""
 MISSING = 0.3
@@ -73,19 +71,11 @@ def _window(scene: str, number: int) -> tuple[City, NDArray[np.float64]]:
     """A window of a scene in the scene's own metres, and a transmitter on open ground in it or up
     to 104 m outside."""
     whole = _scene(scene)
-    rng = np.random.default_rng([number, len(scene)])
-    wide = SIDE + 2 * MARGIN
-    inner = (slice(MARGIN, MARGIN + SIDE),) * 2
-    while True:
-        row, col = (int(rng.integers(n - wide + 1)) for n in whole.grid.shape)
-        height = np.ascontiguousarray(whole.height_m[row : row + wide, col : col + wide])
-        free = height[inner] < ALTITUDE_M
-        if free.mean() >= OPEN_SHARE and (~free).mean() >= BUILT_SHARE:
-            break
-    x, y = whole.grid.xy_m((row, col))
-    city = City(Grid((wide, wide), SPACING_M, (float(x), float(y))), height, name=f"scene:{scene}")
-    open_cells = np.argwhere(height <= 0)
-    tx, ty = city.grid.xy_m(open_cells[rng.integers(len(open_cells))])
+    height, corner, cell = drawn_window(whole, np.random.default_rng([number, len(scene)]))
+    x, y = whole.grid.xy_m(corner)
+    grid = Grid(height.shape, SPACING_M, (float(x), float(y)))
+    city = City(grid, height, name=f"scene:{scene}")
+    tx, ty = grid.xy_m(cell)
     return city, np.array([float(tx), float(ty), 1.5])
 
 
@@ -98,11 +88,10 @@ def _scene_world(scene: str, number: int, rays: bool) -> ForeignWorld:
             gain = np.maximum(traced.gain_db, roof)
         else:
             gain = trace_truth(replace(city, name=scene), [transmitter], [ALTITUDE_M]).gain_db
-        inner = (slice(MARGIN, MARGIN + SIDE),) * 2
         corner = np.array([*city.grid.xy_m((MARGIN, MARGIN)), 0.0])
         return {
-            "height_m": city.height_m[inner],
-            "gain_db": gain[0, 0][inner],
+            "height_m": city.height_m[INNER],
+            "gain_db": gain[0, 0][INNER],
             "transmitter_m": transmitter - corner,
         }
 

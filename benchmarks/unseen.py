@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.record import Table
 from benchmarks.study import Option, Run, study
@@ -22,9 +23,27 @@ from skygain.survey.methods import MethodSpec
 
 SCENES = ("munich", "etoile")
 SIDE, MARGIN, SPACING_M, ALTITUDE_M = 96, 26, 4.0, 10.0
+INNER = (slice(MARGIN, MARGIN + SIDE),) * 2
+"""the window without its margin"""
 OPEN_SHARE, BUILT_SHARE = 0.3, 0.1
 """a window with less open ground or fewer buildings than this is drawn again"""
 KEYS = ("rmse_db", "rmse_ray_traced_db", "gof", "coverage90")
+
+
+def drawn_window(
+    whole: City, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], tuple[int, int], NDArray[np.int64]]:
+    """Heights of a window of ``whole`` with its margin, its first row and column, and an open cell
+    of it for the transmitter."""
+    wide = SIDE + 2 * MARGIN
+    while True:
+        row, col = (int(rng.integers(n - wide + 1)) for n in whole.grid.shape)
+        height = np.ascontiguousarray(whole.height_m[row : row + wide, col : col + wide])
+        outdoor = height[INNER] < ALTITUDE_M
+        if outdoor.mean() >= OPEN_SHARE and (~outdoor).mean() >= BUILT_SHARE:
+            break
+    open_cells = np.argwhere(height <= 0)
+    return height, (row, col), open_cells[rng.integers(len(open_cells))]
 
 
 def window(scene: str, number: int) -> dict[str, Any]:
@@ -33,25 +52,16 @@ def window(scene: str, number: int) -> dict[str, Any]:
     if path.exists():
         with np.load(path) as found:
             return dict(found)
-    whole = scene_city(scene, spacing_m=SPACING_M)
     rng = np.random.default_rng([number, len(scene)])
-    wide = SIDE + 2 * MARGIN
-    inner = (slice(MARGIN, MARGIN + SIDE),) * 2
-    while True:
-        row, col = (int(rng.integers(n - wide + 1)) for n in whole.grid.shape)
-        height = np.ascontiguousarray(whole.height_m[row : row + wide, col : col + wide])
-        outdoor = height[inner] < ALTITUDE_M
-        if outdoor.mean() >= OPEN_SHARE and (~outdoor).mean() >= BUILT_SHARE:
-            break
-    city = City(Grid((wide, wide), SPACING_M), height, name=scene)
-    open_cells = np.argwhere(height <= 0)
-    x, y = city.grid.xy_m(open_cells[rng.integers(len(open_cells))])
+    height, _, cell = drawn_window(scene_city(scene, spacing_m=SPACING_M), rng)
+    city = City(Grid(height.shape, SPACING_M), height, name=scene)
+    x, y = city.grid.xy_m(cell)
     transmitter = np.array([float(x), float(y), 1.5])
     truth = trace_truth(city, [transmitter], [ALTITUDE_M])
     found = {
-        "height_m": height[inner],
-        "gain_db": truth.gain_db[0, 0][inner],
-        "ray_traced": truth.ray_traced[0, 0][inner],
+        "height_m": height[INNER],
+        "gain_db": truth.gain_db[0, 0][INNER],
+        "ray_traced": truth.ray_traced[0, 0][INNER],
         "transmitter_m": transmitter - [MARGIN * SPACING_M, MARGIN * SPACING_M, 0.0],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
