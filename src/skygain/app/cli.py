@@ -28,6 +28,7 @@ from skygain.ground.errors import InputError, did_you_mean
 
 _GROUPS = {
     "mission": "From a real map to plans for drones, and back with their readings.",
+    "benchmark": "A benchmark that methods outside Skygain can join.",
     "dataset": "Build and inspect data sets of ray-traced cities.",
     "train": "Train what the package ships trained.",
 }

@@ -8,7 +8,7 @@ Rollouts are deterministic: neither the number of workers nor an interruption ch
 
 from __future__ import annotations
 
-__all__ = ["JOURNAL", "Comparison", "compare"]
+__all__ = ["JOURNAL", "Comparison", "compare", "request_cases"]
 
 import os
 from collections.abc import Callable, Generator
@@ -59,12 +59,20 @@ class Comparison:
     """``delays[method label][delay name][case]`` in milliseconds"""
 
 
-def _cases(request: EvaluateRequest, dataset: ChannelDataset) -> list[Case]:
-    from skygain.datasets.cases import survey_cases
+def request_cases(request: EvaluateRequest) -> tuple[ChannelDataset, list[Case]]:
+    """The data set and the surveys of a comparison.
 
+    Raises:
+        InputError: unreadable data, or it has no such surveys.
+    """
+    from skygain.datasets.cases import survey_cases
+    from skygain.datasets.sample import open_sample
+    from skygain.datasets.store import ChannelDataset
+
+    dataset = open_sample() if request.data == "sample" else ChannelDataset.open(request.data)
     rows, cols = dataset.grid.shape
     side = request.crop or max(rows, cols)
-    return survey_cases(
+    cases = survey_cases(
         dataset,
         request.split,
         n_uavs=request.uavs,
@@ -74,6 +82,7 @@ def _cases(request: EvaluateRequest, dataset: ChannelDataset) -> list[Case]:
         seed=request.seed,
         crop_shape=(min(side, rows), min(side, cols)),
     )
+    return dataset, cases
 
 
 def _run(request: EvaluateRequest, case: Case, method: MethodSpec) -> dict[str, Any]:
@@ -96,13 +105,9 @@ def compare(request: EvaluateRequest, progress: Progress | None = None) -> Compa
         InputError: unknown names, unreadable data, or rollouts in ``out`` of other data, settings,
             weights or another release.
     """
-    from skygain.datasets.sample import open_sample
-    from skygain.datasets.store import ChannelDataset
-
     methods = request.pairs
     files = {method.label: method_files(method) for method in methods}
-    dataset = open_sample() if request.data == "sample" else ChannelDataset.open(request.data)
-    cases = _cases(request, dataset)
+    dataset, cases = request_cases(request)
     belongs_to = request.settings | {
         "data": file_digest(dataset.path),
         "skygain": skygain.__version__,
