@@ -229,6 +229,7 @@ def replanned(case: Case, n: int, options: Any) -> list[float]:
                 latitude, longitude = site.latlon(xy)
                 rider.link.heard.latitude = float(latitude)
                 rider.link.heard.longitude = float(longitude)
+                rider.link.heard.place_s = time.monotonic()
                 moment = rider.flight.timeline.reached_s[1]
                 rider.began_s = rider.up_s = live.now() - float(moment)
             live.planned(live.riders[0], belief)

@@ -124,7 +124,7 @@ class SimulatedVehicle:
         self.silent_until = self.hold = self.pace_mps = 0.0
         self.trace: list[tuple[float, float, float, float]] = []
         """(wall time, latitude, longitude, height) at every step"""
-        self.uploads = 0
+        self.uploads = self.sent = 0
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -239,6 +239,7 @@ class SimulatedVehicle:
     def _level(self) -> None:
         if self.xyz[2] > 2.0:
             self.link.mav.named_value_float_send(0, b"rsrp", self.level(*self.place))
+            self.sent += 1
 
     def _hear(self, message: Any) -> None:
         kind = message.get_type()
@@ -258,6 +259,13 @@ class SimulatedVehicle:
                     self.items, self.wanted, self.current = self.coming, 0, 0
                     self.uploads += 1
                     self.link.mav.mission_ack_send(*source, 0, 0)
+        elif kind == "MISSION_REQUEST_LIST":
+            self.link.mav.mission_count_send(*source, len(self.items), 0)
+        elif kind == "MISSION_REQUEST_INT" and message.seq < len(self.items):
+            i = self.items[message.seq]
+            params = (i.param1, i.param2, i.param3, i.param4, i.x, i.y, i.z)
+            about = (i.seq, i.frame, i.command, 0, 1)
+            self.link.mav.mission_item_int_send(*source, *about, *params, 0)
         elif kind == "MISSION_SET_CURRENT":
             self.current = message.seq
         elif kind == "COMMAND_LONG":

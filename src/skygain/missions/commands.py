@@ -23,7 +23,8 @@ _AT_HOME_M = 30.0
 
 if TYPE_CHECKING:
     from skygain.missions.folder import Mission
-    from skygain.missions.sortie import Sortie
+    from skygain.missions.sortie import Flight, Sortie
+    from skygain.missions.vehicle_link import VehicleLink
 
 
 class Progress(Protocol):
@@ -227,7 +228,8 @@ def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
     with Mission.opened(request.folder) as mission:
         progress.phase("reading the map")
         site = mission.site
-        sortie = open_sortie(mission)
+        led = led_sortie(mission)
+        sortie = led or open_sortie(mission)
         if sortie is None:
             raise InputError(
                 f"no sortie of {request.folder} waits to be flown; plan one with: skygain mission "
@@ -251,7 +253,15 @@ def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
                 "`dry_run=True`"
             )
         with mission.writing("skygain mission fly"):
-            return _flown_live(mission, sortie, links, request, progress)
+            return _flown_live(mission, sortie, links, request, progress, led is not None)
+
+
+def led_sortie(mission: Mission) -> Sortie | None:
+    """The newest sortie, if a live flight of it began and did not end."""
+    last = mission.journal.events("planned", "led", "flown")
+    if not last or last[-1]["kind"] != "led":
+        return None
+    return mission.sorties()[-1]
 
 
 def _flown_live(
@@ -260,11 +270,12 @@ def _flown_live(
     links: tuple[str, ...],
     request: MissionFlyRequest,
     progress: Progress,
+    led: bool,
 ) -> str:
     import contextlib
-    import math
 
-    from skygain.missions.live import LiveFlight
+    from skygain.missions.live import LiveFlight, LiveSettings
+    from skygain.missions.next_sortie import open_sortie
     from skygain.missions.vehicle_link import VehicleLink
 
     with contextlib.ExitStack() as stack:
@@ -273,33 +284,64 @@ def _flown_live(
             for flight, link in zip(sortie.flights, links, strict=True)
         ]
         progress.phase("waiting for the vehicles")
-        for vehicle, flight in zip(vehicles, sortie.flights, strict=True):
-            if not vehicle.wait(request.wait_s):
-                raise InputError(
-                    f"UAV {flight.uav} is not heard on {vehicle.link} with a position; check its "
-                    "`link`, or give a larger `wait_s`"
-                )
-            heard = vehicle.heard
-            place = mission.site.grid.xy_m_at_latlon((heard.latitude, heard.longitude))
-            away = math.dist(place, flight.pad_m[:2])
-            if away > _AT_HOME_M:
-                raise InputError(
-                    f"UAV {flight.uav} on {vehicle.link} stands {away:.0f} m from its take-off "
-                    "place; put it there, or exchange the order of `link`"
-                )
-        flight_of_all = LiveFlight(mission, sortie, vehicles, told=progress.note)
+        silent = [
+            v for v in vehicles if not v.wait(min(request.wait_s, 5.0) if led else request.wait_s)
+        ]
+        flight_of_all = LiveFlight(
+            mission, sortie, vehicles, LiveSettings(pace=request.pace), progress.note
+        )
+        resumed = led and any(vehicle.heard.armed for vehicle in vehicles)
+        if resumed:
+            progress.note("taking over vehicles in the air")
+            flight_of_all.resume()
+        else:
+            for vehicle, flight in zip(vehicles, sortie.flights, strict=True):
+                _check_place(mission, vehicle, flight, vehicle in silent)
+            if led and open_sortie(mission) is None:
+                mission.journal.add("flown", {"sortie": sortie.number, "states": {}})
+                return f"sortie {sortie.number} has been flown, and every vehicle is on the ground"
         progress.phase("uploading")
         refused = flight_of_all.upload()
-        if refused:
+        if refused and not resumed:
             shown = ", ".join(f"UAV {uav}" for uav in refused)
             raise InputError(f"{shown} did not take the mission; nothing was armed")
         armed = False
         if request.arm:
-            question = f"type yes to arm {len(vehicles)} vehicles and take off: "
+            waiting = sum(not vehicle.heard.armed for vehicle in vehicles)
+            question = f"type yes to arm {waiting} vehicles and take off: "
             armed = input(question).strip().lower() == "yes"
-            if not armed:
+            if not armed and not resumed:
                 return "uploaded; nothing was armed"
         progress.phase("flying")
-        flight_of_all.lead(arm=armed)
+        try:
+            flight_of_all.lead(arm=armed)
+        except KeyboardInterrupt:
+            progress.note(
+                "the vehicles fly on with what they have on board; the same command takes them over"
+            )
+            raise
         states = ", ".join(f"UAV {r.uav} {r.state}" for r in flight_of_all.riders)
     return f"sortie {sortie.number}: {states}\nnext: skygain mission status {request.folder}"
+
+
+def _check_place(mission: Mission, vehicle: VehicleLink, flight: Flight, silent: bool) -> None:
+    """A vehicle is there, and stands where it takes off.
+
+    Raises:
+        InputError: it is not heard, or stands elsewhere.
+    """
+    import math
+
+    if silent:
+        raise InputError(
+            f"UAV {flight.uav} is not heard on {vehicle.link} with a position; check its `link`, "
+            "or give a larger `wait_s`"
+        )
+    heard = vehicle.heard
+    place = mission.site.grid.xy_m_at_latlon((heard.latitude, heard.longitude))
+    away = math.dist(place, flight.pad_m[:2])
+    if away > _AT_HOME_M:
+        raise InputError(
+            f"UAV {flight.uav} on {vehicle.link} stands {away:.0f} m from its take-off place; put "
+            "it there, or exchange the order of `link`"
+        )

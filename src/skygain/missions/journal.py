@@ -7,12 +7,13 @@ the process next. A reading is known by its content, so the same one given twice
 
 from __future__ import annotations
 
-__all__ = ["Journal", "Reading"]
+__all__ = ["Journal", "Reading", "Stream"]
 
 import contextlib
 import hashlib
 import json
 import sqlite3
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from datetime import UTC, datetime
@@ -136,19 +137,26 @@ class Journal:
     def take_in(self, kind: str, body: Mapping[str, Any], readings: Sequence[Reading]) -> int:
         """Add an event with the readings that came with it, all or none of them; returns how many
         were new. Where none is, no event is added."""
+        return self._take_in(None, kind, body, readings)[1]
+
+    def _take_in(
+        self, event: int | None, kind: str, body: Mapping[str, Any], readings: Sequence[Reading]
+    ) -> tuple[int | None, int]:
+        """The number of the event that the readings were added to, a new one without ``event``, and
+        how many of them were new."""
         names = ("hash", "event", *(f.name for f in fields(Reading)))
         marks = ", ".join("?" * len(names))
         with self._all_or_nothing():
             known = self.known([one.hash for one in readings])
             new = {one.hash: one for one in readings if one.hash not in known}
             if not new:
-                return 0
-            event = self._event(kind, {**body, "readings": len(new)})
+                return event, 0
+            event = event or self._event(kind, body)
             self._db.executemany(
                 f"INSERT INTO readings ({', '.join(names)}) VALUES ({marks})",
                 [(key, event, *astuple(one)) for key, one in new.items()],
             )
-            return len(new)
+            return event, len(new)
 
     def known(self, hashes: Sequence[str]) -> set[str]:
         """Those of ``hashes`` whose readings are kept already."""
@@ -169,16 +177,23 @@ class Journal:
             if not kinds or kind in kinds
         ]
 
-    def readings(self) -> list[Reading]:
-        """Every reading, in the order in which they came in."""
-        names = [f.name for f in fields(Reading)]
-        rows = self._db.execute(f"SELECT {', '.join(names)} FROM readings ORDER BY id").fetchall()
-        told = (dict(zip(names, row, strict=True)) for row in rows)
-        return [Reading(**{**one, "censored": bool(one["censored"])}) for one in told]
+    def readings(self, after: int = 0) -> list[Reading]:
+        """Every reading in the order in which they came in, without the first ``after``."""
+        names = ", ".join(f.name for f in fields(Reading))
+        # readings are never deleted, so the ids of SQLite count them
+        asked = f"SELECT {names} FROM readings WHERE id > ? ORDER BY id"
+        rows = self._db.execute(asked, (after,))
+        return [Reading(*row[:4], bool(row[4]), *row[5:]) for row in rows]
 
-    def reading_events(self) -> list[int]:
+    def reading_events(self, after: int = 0) -> list[int]:
         """The number of the event that each reading came with, in the order of `readings`."""
-        return [row[0] for row in self._db.execute("SELECT event FROM readings ORDER BY id")]
+        asked = "SELECT event FROM readings WHERE id > ? ORDER BY id"
+        return [row[0] for row in self._db.execute(asked, (after,))]
+
+    @property
+    def count(self) -> int:
+        """How many readings there are."""
+        return int(self._db.execute("SELECT COALESCE(MAX(id), 0) FROM readings").fetchone()[0])
 
     def settled(self) -> None:
         """Bring everything into the one file, which may then be renamed."""
@@ -188,3 +203,28 @@ class Journal:
     def last(self) -> int:
         """Number of the newest event, 0 without any."""
         return int(self._db.execute("SELECT COALESCE(MAX(id), 0) FROM events").fetchone()[0])
+
+
+class Stream:
+    """Readings that come a few at a time: each lot is on the disk at once, and an event holds those
+    of some seconds, so that a flight of hours stays a story that can be told.
+
+    Args:
+        journal: where they go.
+        body: of the events.
+        every_s: seconds of one event.
+    """
+
+    def __init__(self, journal: Journal, body: Mapping[str, Any], every_s: float = 5.0) -> None:
+        self._journal, self._body, self._every_s = journal, dict(body), every_s
+        self._event: int | None = None
+        self._until_s = 0.0
+
+    def take_in(self, readings: Sequence[Reading]) -> int:
+        """Keep them, all or none; returns how many were new."""
+        now = time.monotonic()
+        event = self._event if now < self._until_s else None
+        kept, new = self._journal._take_in(event, "ingested", self._body, readings)
+        if kept is not None and kept != event:
+            self._event, self._until_s = kept, now + self._every_s
+        return new

@@ -3,33 +3,37 @@
 One vehicle is planned anew at a time, clear of what all others have on board at that moment. So
 whatever link breaks and whenever, every vehicle keeps a plan that was legal beside the others'. A
 vehicle that is lost, low or taken over by its pilot is planned for no more; its last plan is kept
-clear of as long as it may be flying it.
+clear of as long as it may be flying it. A new plan is in the journal before it is sent, so that a
+leader that died is followed by one that knows what may be on board.
 """
 
 from __future__ import annotations
 
-__all__ = ["LiveFlight", "LiveSettings", "Rider"]
+__all__ = ["LiveFlight", "LiveSettings"]
 
 import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from skygain.flight.swarm import Swarm
+from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.missions.folder import Mission
 from skygain.missions.imagined import ahead_of, with_expected
-from skygain.missions.journal import Reading
+from skygain.missions.keeping import Keeper
 from skygain.missions.orders import orders_for
-from skygain.missions.qgroundcontrol import items
+from skygain.missions.qgroundcontrol import Item, items
+from skygain.missions.rider import FLYING, HOLDING, LANDED, LOST, LOW, WAITING, Rider
 from skygain.missions.sortie import Flight, Sortie, flight_along
 from skygain.missions.state import known_belief
-from skygain.missions.timing import SLIP_S, TICK_S, Timeline, first_conflict
-from skygain.missions.vehicle_link import VehicleLink
+from skygain.missions.timing import first_conflict
+from skygain.missions.vehicle_link import VehicleLink, same_mission
 from skygain.missions.watching import LIVE
 from skygain.predictors.base import Belief
 
@@ -38,8 +42,14 @@ _SHARES = (1.0, 0.7, 0.4, 0.2)
 _IN_TIME = 0.5
 """share of the lead after which a new way comes too late to be sent"""
 _ARDUPILOT = 3
-FLYING, LOST, LOW, HOLDING, LANDED = "flying", "lost", "low", "holding", "landed"
-WAITING = "waiting"
+_HEARD_S = 1.5
+"""nothing is sent to a vehicle that was not heard for longer"""
+_SENDING_S = 3.0
+"""a vehicle in the air has so long to take a new mission"""
+_SETTLE_S = 2.0
+"""a vehicle that may have either of two missions is asked so often which"""
+_UP_M = 2.0
+"""a vehicle so high is in the air"""
 
 
 @dataclass(frozen=True)
@@ -57,37 +67,14 @@ class LiveSettings:
     """a vehicle that is silent for longer is lost"""
     low: float = 0.25
     """share of battery below which a vehicle is left alone"""
-    keep_s: float = 2.0
-    """readings are in the journal at most so long after they came"""
     pace: float = 1.0
     """vehicles' seconds in one second; above 1 for simulated ones"""
 
-
-@dataclass(eq=False)
-class Rider:
-    """One vehicle of the flight, as the leader sees it."""
-
-    link: VehicleLink
-    """its connection"""
-    flight: Flight
-    """what it has on board"""
-    began_s: float = 0.0
-    """moment at which that flight's times begin"""
-    up_s: float = 0.0
-    """moment of its first take-off"""
-    state: str = WAITING
-    """waiting, flying, lost, low, holding or landed"""
-    done: int = 0
-    """cells of the flight on board that it has passed"""
-    planned_at: int = 0
-    """cells it had passed when it was last planned"""
-    reached: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
-    """cells it passed in all"""
-
     @property
-    def uav(self) -> int:
-        """Its number."""
-        return self.flight.uav
+    def patience_s(self) -> float:
+        """Seconds of silence after which a vehicle is lost, on this machine's clock, which has
+        hiccups of its own."""
+        return max(self.lost_s / self.pace, 2.0)
 
 
 class LiveFlight:
@@ -116,8 +103,8 @@ class LiveFlight:
         self.replan_s: list[float] = []
         """wall time of every new plan, upload included"""
         self._zero = time.monotonic()
-        self._buffer: list[Reading] = []
-        self._kept_s = self._shown_s = 0.0
+        self._resumed = False
+        self._shown_s = 0.0
         self._random = mission.random(sortie.number + 1_000_000)
         self._planner = mission.method.build_planner()
 
@@ -126,16 +113,60 @@ class LiveFlight:
         return (time.monotonic() - self._zero) * self.settings.pace
 
     def upload(self) -> list[int]:
-        """Send every vehicle its flight; returns the numbers of those that did not take it."""
-        refused = []
-        for rider in self.riders:
-            if not self._send(rider, rider.flight):
-                refused.append(rider.uav)
-        return refused
+        """Send every vehicle on the ground its flight; returns the numbers of those that did not
+        take it."""
+        waiting = [rider for rider in self.riders if rider.state == WAITING]
+        return [r.uav for r in waiting if not r.link.upload(*self._orders(r.flight))]
 
-    def _send(self, rider: Rider, flight: Flight) -> bool:
+    def _orders(self, flight: Flight) -> tuple[list[Item], tuple[float, float]]:
         orders = orders_for(self.site, self.sortie, flight)
-        return rider.link.upload(items(orders, airborne=flight.airborne), orders.home)
+        return items(orders, airborne=flight.airborne), orders.home
+
+    def resume(self) -> None:
+        """Take over vehicles in the air from a leader that died: every vehicle is asked what it has
+        on board, and the journal knows where that came from."""
+        told = self.mission.journal.events("led", "airborne", "offered", "replanned", "lost")
+        mine = [e for e in told if e.get("sortie") == self.sortie.number]
+        zero = max((e["zero_at"] for e in mine if e["kind"] == "led"), default=time.time())
+        self._zero, self._resumed = time.monotonic() - (time.time() - zero), True
+        for rider in self.riders:
+            up = [e for e in mine if e["kind"] == "airborne" and e["uav"] == rider.uav]
+            offers = [
+                (Flight.of(e["flight"]), float(e["began_s"]))
+                for e in mine
+                if e["kind"] == "offered" and e["flight"]["uav"] == rider.uav
+            ]
+            rider.began_s = up[-1]["began_s"] if up else 0.0
+            rider.up_s = up[-1]["up_s"] if up else rider.flight.delay_s
+            self._find(rider, bool(up), offers)
+            self.told(f"UAV {rider.uav} is {rider.state}")
+
+    def _find(self, rider: Rider, was_up: bool, offers: list[tuple[Flight, float]]) -> None:
+        """Which of its flights a vehicle is on."""
+        heard = rider.link.heard
+        if rider.link.silent_s() > self.settings.patience_s:
+            if offers:
+                rider.take(*offers[-1])
+            ticks = rider.flight.timeline.ticks_m
+            known = ticks[np.isfinite(ticks[:, 0])]
+            at = int(np.clip((self.now() - rider.began_s) / 0.25, 0, len(known) - 1))
+            heard.latitude, heard.longitude = map(float, self.site.latlon(known[at, :2]))
+            heard.place_s = time.monotonic()
+            self._out(rider, LOST, "it is not heard")
+        elif not heard.armed:
+            rider.state = LANDED if was_up else WAITING
+        else:
+            rider.state = FLYING
+            aboard = rider.link.download()
+            candidates = [(rider.flight, rider.began_s), *offers]
+            for flight, began_s in reversed(candidates):
+                if aboard is not None and same_mission(aboard, self._orders(flight)[0]):
+                    rider.take(flight, began_s)
+                    rider.found_again(self.site.grid, self.now())
+                    return
+            if offers:
+                rider.take(*offers[-1])
+            self._out(rider, HOLDING, "its mission is none of this sortie's; its pilot has it")
 
     def lead(self, *, arm: bool, most_s: float = 7200.0) -> None:
         """Lead the flight until every vehicle has landed or is out of reach.
@@ -143,19 +174,35 @@ class LiveFlight:
         Args:
             arm: arm and start each vehicle when it is due; otherwise their pilots do.
             most_s: end after so many seconds of the vehicles in any case.
+
+        Raises:
+            InputError: the last readings cannot be written.
         """
-        self._zero = time.monotonic()
+        if not self._resumed:
+            self._zero = time.monotonic()
+            self._keep("led", {"zero_at": time.time(), "pace": self.settings.pace})
+        links = [rider.link for rider in self.riders]
         try:
-            while self.now() < most_s and any(r.state in (WAITING, FLYING) for r in self.riders):
-                self._start(arm)
-                self._watch()
-                self._take_readings()
-                self._plan_one()
-                self._show()
-                time.sleep(0.02)
-            self._take_readings(at_once=True)
+            with Keeper(self.mission.journal.path, self.sortie.number, links, self.told):
+                while self.now() < most_s and any(
+                    rider.state in (WAITING, FLYING) for rider in self.riders
+                ):
+                    self._start(arm)
+                    self._watch()
+                    self._plan_one()
+                    self._show()
+                    time.sleep(0.02)
+            self._keep("flown", {"states": {str(r.uav): r.state for r in self.riders}})
         finally:
             (self.mission.folder / LIVE).unlink(missing_ok=True)
+
+    def _keep(self, kind: str, body: Mapping[str, Any]) -> int:
+        """The number of a new event; 0 where it cannot be written, and the flight goes on."""
+        try:
+            return self.mission.journal.add(kind, {"sortie": self.sortie.number, **body})
+        except InputError as error:
+            self.told(str(error))
+            return 0
 
     def _start(self, arm: bool) -> None:
         for rider in self.riders:
@@ -165,23 +212,24 @@ class LiveFlight:
             if arm and self.now() >= rider.flight.delay_s and not heard.armed:
                 rider.link.arm()
                 rider.link.start()
-            if heard.armed and heard.height_m > 2.0:
+            if heard.armed and heard.height_m > _UP_M:
                 # its times begin now, less the climb so far
-                rider.began_s = self.now() - rider.flight.delay_s - heard.height_m / 2.0
                 rider.up_s = self.now() - heard.height_m / 2.0
+                rider.began_s = rider.up_s - rider.flight.delay_s
                 rider.state = FLYING
+                body = {"uav": rider.uav, "began_s": rider.began_s, "up_s": rider.up_s}
+                self._keep("airborne", body)
                 self.told(f"UAV {rider.uav} is in the air")
-            elif rider.link.silent_s() * self.settings.pace > self.settings.lost_s:
+            elif rider.link.silent_s() > self.settings.patience_s:
                 self._out(rider, LOST, "it was not heard before take-off")
 
     def _watch(self) -> None:
         for rider in self.riders:
-            heard = rider.link.heard
+            heard, silent_s = rider.link.heard, rider.link.silent_s()
             if rider.state != FLYING:
                 continue
-            silent = rider.link.silent_s() * self.settings.pace
-            if silent > self.settings.lost_s:
-                self._out(rider, LOST, f"not heard for {silent:.0f} s")
+            if silent_s > self.settings.patience_s:
+                self._out(rider, LOST, f"not heard for {silent_s * self.settings.pace:.0f} s")
             elif not heard.armed:
                 rider.state = LANDED
                 self.told(f"UAV {rider.uav} has landed")
@@ -190,58 +238,30 @@ class LiveFlight:
             elif not heard.in_mission and rider.done < len(rider.flight.cells) - 1:
                 self._out(rider, HOLDING, "it left its mission; its pilot has it")
             else:
-                self._follow(rider)
+                if rider.offered and silent_s < _HEARD_S and time.monotonic() > rider.settle_s:
+                    self._settle(rider)
+                rider.follow(self.site.grid)
+
+    def _settle(self, rider: Rider) -> None:
+        """Ask a vehicle which of two missions it has."""
+        assert rider.offered is not None
+        rider.settle_s = time.monotonic() + _SETTLE_S
+        aboard = rider.link.download(1.0)
+        if aboard is None:
+            return
+        if same_mission(aboard, self._orders(rider.offered[0])[0]):
+            self._keep("replanned", {"uav": rider.uav})
+            rider.take(*rider.offered)
+            rider.found_again(self.site.grid, self.now())
+        else:
+            rider.offered = None
 
     def _out(self, rider: Rider, state: str, reason: str) -> None:
         rider.state = state
-        self.mission.journal.add("lost", {"uav": rider.uav, "state": state, "reason": reason})
+        self._keep("lost", {"uav": rider.uav, "state": state, "reason": reason})
         self.told(f"UAV {rider.uav} is out ({state}): {reason}; the others are planned anew")
         for other in self.riders:
             other.planned_at = -self.settings.every_cells  # due at once
-
-    def _follow(self, rider: Rider) -> None:
-        """Move along the cells that the vehicle has passed."""
-        cells = rider.flight.cells
-        ahead = cells[rider.done : rider.done + 60]
-        if not len(ahead):
-            return
-        off = np.hypot(*(self.site.grid.xy_m(ahead) - self._place(rider)).T)
-        near = np.flatnonzero(off <= 0.75 * self.site.grid.spacing_m)
-        if len(near):
-            step = int(near[0]) + 1
-            while step < len(ahead) and off[step] <= off[step - 1]:
-                step += 1
-            rider.reached = np.vstack([rider.reached, ahead[:step]])
-            rider.done += step
-
-    def _place(self, rider: Rider) -> NDArray[np.float64]:
-        heard = rider.link.heard
-        return self.site.grid.xy_m_at_latlon((heard.latitude, heard.longitude))
-
-    def _take_readings(self, *, at_once: bool = False) -> None:
-        for rider in self.riders:
-            levels = rider.link.heard.levels
-            while levels:
-                moment, latitude, longitude, level = levels.popleft()
-                self._buffer.append(
-                    Reading(
-                        round(latitude, 8),
-                        round(longitude, 8),
-                        level,
-                        None,
-                        False,
-                        moment,
-                        self.sortie.number,
-                        rider.uav,
-                        f"live, UAV {rider.uav}",
-                    )
-                )
-        due = (time.monotonic() - self._kept_s) * self.settings.pace > self.settings.keep_s
-        if self._buffer and (due or at_once):
-            body = {"file": "live", "quantity": "power", "matched": []}
-            self.mission.journal.take_in("ingested", body, self._buffer)
-            self._buffer = []
-            self._kept_s = time.monotonic()
 
     def _show(self) -> None:
         if time.monotonic() - self._shown_s < 0.5:
@@ -252,12 +272,12 @@ class LiveFlight:
             {
                 "uav": rider.uav,
                 "state": rider.state,
-                "xy": np.round(self._place(rider) - corner, 1).tolist(),
+                "xy": np.round(rider.place_m(self.site.grid) - corner, 1).tolist(),
             }
             for rider in self.riders
         ]
         with atomic_write(self.mission.folder / LIVE) as tmp:
-            tmp.write_text(json.dumps({"vehicles": vehicles}), encoding="utf-8")
+            tmp.write_text(json.dumps({"at": time.time(), "vehicles": vehicles}), encoding="utf-8")
 
     def _plan_one(self) -> None:
         """Plan the vehicle anew that has waited longest, if one is due."""
@@ -265,6 +285,8 @@ class LiveFlight:
             rider
             for rider in self.riders
             if rider.state == FLYING
+            and rider.offered is None
+            and rider.link.silent_s() < _HEARD_S
             and rider.done - rider.planned_at >= self.settings.every_cells
             and 0 < rider.done < len(rider.flight.cells) - 2
         ]
@@ -273,15 +295,25 @@ class LiveFlight:
         rider = max(due, key=lambda r: r.done - r.planned_at)
         began, began_s, lead_s = time.monotonic(), self.now(), self.lead_s
         rider.planned_at = rider.done
-        self._take_readings(at_once=True)
         flight = self.planned(rider)
         late = self.now() - began_s > _IN_TIME * lead_s
-        if flight is not None and rider.state == FLYING and not late and self._send(rider, flight):
-            rider.link.fly_from(self._next_item(rider, flight))
-            self.mission.journal.add("replanned", {"flight": flight.as_data()})
-            rider.flight, rider.began_s = flight, began_s
-            rider.done = rider.planned_at = 0
+        if flight is not None and rider.state == FLYING and not late:
+            self._send(rider, flight, began_s)
         self.replan_s.append(time.monotonic() - began)
+
+    def _send(self, rider: Rider, flight: Flight, began_s: float) -> None:
+        """Send a vehicle in the air a new flight; without an answer it may have either."""
+        offer = self._keep("offered", {"flight": flight.as_data(), "began_s": began_s})
+        if not offer:
+            return
+        rider.offered = flight, began_s
+        taken = rider.link.upload(*self._orders(flight), _SENDING_S)
+        if taken:
+            rider.link.fly_from(self._next_item(rider, flight))
+            self._keep("replanned", {"uav": rider.uav, "offer": offer})
+            rider.take(flight, began_s)
+        elif taken is False:
+            rider.offered = None
 
     @property
     def lead_s(self) -> float:
@@ -293,7 +325,7 @@ class LiveFlight:
     def _next_item(self, rider: Rider, flight: Flight) -> int:
         """The item of a new mission to fly to: the end of the leg that the vehicle is on, which is
         the old way still, or the nearest point in clear sight if it is late."""
-        place, points = self._place(rider), flight.route_m[:, :2]
+        place, points = rider.place_m(self.site.grid), flight.route_m[:, :2]
         first = points[: min(len(points) - 1, flight.measuring)]
         step = points[1 : len(first) + 1] - first
         length = np.maximum((step**2).sum(axis=1), 1e-12)
@@ -314,16 +346,17 @@ class LiveFlight:
         steps = max(1, int(self.lead_s * old.speed_mps / site.grid.spacing_m))
         turn = min(rider.done + steps, len(old.cells) - 1)
         cell = old.cells[turn]
-        lead = np.vstack([self._place(rider)[None], site.grid.xy_m(old.cells[rider.done : turn])])
+        place = rider.place_m(site.grid)
+        lead = np.vstack([place[None], site.grid.xy_m(old.cells[rider.done : turn])])
         if not site.space.clear(np.vstack([lead, site.grid.xy_m(cell)[None]])):
             return None
         left_s = site.request.usable_s - (self.now() - rider.up_s)
         belief = ahead_of(known_belief(self.mission) if belief is None else belief)
-        others = [r for r in self.riders if r is not rider and r.state not in (LANDED, WAITING)]
+        others = [r for r in self.riders if r is not rider and r.state != LANDED]
         coming = np.vstack([self._coming(rider, cell), old.cells[rider.done : turn + 1]])
         belief = with_expected(belief, coming)
         path = self._path(belief, cell)
-        lines = [_remaining(r.flight, self._place(r), self.now() - r.began_s) for r in others]
+        lines = [line for r in others for line in r.lines(site.grid, self.now(), self._ago_s(r))]
         speed, apart = old.speed_mps, site.request.separation_m
         for share in _SHARES:
             cells = np.vstack(
@@ -335,6 +368,10 @@ class LiveFlight:
             if all(first_conflict(flight.timeline, o, speed, apart) is None for o in lines):
                 return flight
         return None
+
+    def _ago_s(self, rider: Rider) -> float:
+        """Seconds of the vehicles since its place was heard."""
+        return max(0.0, time.monotonic() - rider.link.heard.place_s) * self.settings.pace
 
     def _coming(self, rider: Rider, cell: NDArray[np.int64]) -> NDArray[np.int64]:
         """Every second cell that the others will read soon, and near enough to matter."""
@@ -375,18 +412,3 @@ class LiveFlight:
             if swarm.flying.any():
                 belief = with_expected(belief, plan.paths[:, 1:])
         return swarm.history[0]
-
-
-def _remaining(flight: Flight, place_m: NDArray[np.float64], moment_s: float) -> Timeline:
-    """What is left of a flight, its times counted from now: it is where it was last seen, which may
-    be earlier or later than planned."""
-    ticks = flight.timeline.ticks_m
-    near = np.hypot(*(ticks[:, :2] - place_m).T)
-    index = np.arange(len(ticks))
-    late = np.abs(index * TICK_S - moment_s)
-    cost = np.where(np.isfinite(near), near + 0.5 * late, np.inf)
-    at = int(cost.argmin())
-    rest = ticks[at:]
-    # it is seen here and now, so only the stops still to come make it early or late
-    slip = flight.timeline.slip_s[at:]
-    return Timeline(rest, slip - slip[0] + SLIP_S, np.empty(0), len(rest) * TICK_S)

@@ -78,8 +78,8 @@ def _frames(mission: Mission, history: NDArray[np.int64]) -> list[Frame]:
     """What was believed after each log, the beginning first."""
     site = mission.site
     readings = mission.journal.readings()
-    event = np.array(mission.journal.reading_events(), dtype=np.int64)
-    ends = [0, *(int(np.searchsorted(event, e, side="right")) for e in np.unique(event))]
+    last = {event: k for k, event in enumerate(mission.journal.reading_events(), start=1)}
+    ends = [0, *sorted(last.values())]
     if len(ends) > _MOST_FRAMES:
         ends = [ends[i] for i in np.unique(np.linspace(0, len(ends) - 1, _MOST_FRAMES).astype(int))]
     frames = []

@@ -171,7 +171,8 @@ class MissionStatusRequest(MissionRequest):
 class MissionFlyRequest(MissionRequest):
     """Fly the open sortie over MAVLink: upload, start, take readings in, plan on.
 
-    Nothing is armed without --arm and a typed yes.
+    Nothing is armed without --arm and a typed yes. Given again after a death of this program, it
+    takes over the vehicles in the air with what they have on board.
 
     Examples:
         skygain mission fly tonight --dry-run
@@ -190,9 +191,13 @@ class MissionFlyRequest(MissionRequest):
     """MESSAGE.field that holds the level, in dBm; for NAMED_VALUE_FLOAT the value's name"""
     wait_s: float = named(20.0, flag="wait")
     """seconds to wait for a vehicle's first heartbeat and position"""
+    pace: float = 1.0
+    """seconds of the vehicles in one second; above 1 for a simulator that runs fast"""
 
     def check(self) -> None:
-        """A level can be found."""
+        """A level can be found, and time passes."""
+        if not 0.1 <= self.pace <= 100:
+            raise InputError(f"`pace` must be 0.1 to 100, got {self.pace:g}")
         if not all(self.level.partition(".")):
             raise InputError(f"`level` is MESSAGE.field, got {self.level!r}")
 

@@ -1,12 +1,13 @@
 """One vehicle at the other end of a MAVLink connection: what it says, and what it is told.
 
 A thread listens. Missions are sent by the mission protocol: the count first, then each item as the
-vehicle asks for it, until it acknowledges; what is lost on the way is sent again.
+vehicle asks for it, until it acknowledges; what is lost on the way is sent again. They are read
+back the other way round, so that nobody has to guess what a vehicle has on board.
 """
 
 from __future__ import annotations
 
-__all__ = ["Heard", "VehicleLink", "connection_text"]
+__all__ = ["Heard", "VehicleLink", "connection_text", "same_mission"]
 
 import contextlib
 import os
@@ -22,7 +23,10 @@ from skygain.ground.errors import InputError, require
 from skygain.missions.qgroundcontrol import WAYPOINT, Item
 
 _TRIES = 6
-_WAIT_S = 1.0
+_WAIT_S = 1.5
+"""without a sign of the vehicle for so long, the last message was lost"""
+_SAME_E7, _SAME_M = 2, 0.02
+"""places on board are rounded by so many 1e-7 degrees, heights by so many metres"""
 _PX4, _ARDUPILOT = 12, 3
 _PX4_MISSION = (4 << 16) | (4 << 24)
 """custom mode: main mode AUTO, sub mode MISSION"""
@@ -89,6 +93,22 @@ def connection_text(link: str) -> tuple[str, int]:
     )
 
 
+def same_mission(one: Sequence[Item], other: Sequence[Item]) -> bool:
+    """Whether two missions lead along the same way; firmwares change parameters they do not use.
+
+    >>> there = Item(WAYPOINT, 3, (1.0, 0.0, 0.0, 0.0), 50.0, 9.0, 30.0)
+    >>> same_mission([there], [there]), same_mission([there], [])
+    (True, False)
+    """
+    return len(one) == len(other) and all(
+        a.command == b.command
+        and abs(a.latitude - b.latitude) <= _SAME_E7 * 1e-7
+        and abs(a.longitude - b.longitude) <= _SAME_E7 * 1e-7
+        and abs(a.height_m - b.height_m) <= _SAME_M
+        for a, b in zip(one, other, strict=True)
+    )
+
+
 class VehicleLink:
     """The connection to one vehicle; use it as a context manager.
 
@@ -114,8 +134,11 @@ class VehicleLink:
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._items: list[Item] = []
-        self._answer: dict[str, int] = {}
-        self._answered = threading.Event()
+        self._aboard: dict[int, Item] = {}
+        self._answer = -1
+        self._count: int | None = None
+        self._sign_s = 0.0
+        self._answered, self._counted, self._came = (threading.Event() for _ in range(3))
         self._thread = threading.Thread(target=self._listen, daemon=True)
 
     def __enter__(self) -> VehicleLink:
@@ -140,21 +163,55 @@ class VehicleLink:
             time.sleep(0.02)
         return False
 
-    def upload(self, items: Sequence[Item], home: tuple[float, float]) -> bool:
-        """Send a mission; whether the vehicle took it. Without an answer its old one stands."""
+    def upload(
+        self, items: Sequence[Item], home: tuple[float, float], most_s: float = 120.0
+    ) -> bool | None:
+        """Send a mission; whether the vehicle took it, ``None`` where it did not answer within
+        ``most_s`` and may have either."""
         full = list(items)
         if self.heard.autopilot == _ARDUPILOT:  # its first item is the home
             full.insert(0, Item(WAYPOINT, 0, (0.0, 0.0, 0.0, 0.0), *home, 0.0))
         with self._lock:
             self._items = full
             self._answered.clear()
-        for _ in range(_TRIES):
-            self._say("mission_count_send", len(full), 0)
-            if self._answered.wait(_WAIT_S):
-                break
+        self._asked(most_s, self._answered, "mission_count_send", len(full), 0)
         with self._lock:
             self._items = []
-            return self._answered.is_set() and self._answer.get("mission") == 0
+            return self._answer == 0 if self._answered.is_set() else None
+
+    def download(self, most_s: float = 5.0) -> list[Item] | None:
+        """The mission that the vehicle has on board, without ArduPilot's home; ``None`` where it
+        does not answer."""
+        until = time.monotonic() + most_s
+        with self._lock:
+            self._aboard, self._count = {}, None
+            self._counted.clear()
+        if not self._asked(most_s, self._counted, "mission_request_list_send", 0):
+            return None
+        count = self._count or 0
+        for number in range(count):
+            self._came.clear()
+            if number not in self._aboard:
+                left = until - time.monotonic()
+                self._asked(left, self._came, "mission_request_int_send", number, 0)
+            if number not in self._aboard:
+                return None
+        self._say("mission_ack_send", 0, 0)
+        first = int(self.heard.autopilot == _ARDUPILOT)
+        return [self._aboard[number] for number in range(first, count)]
+
+    def _asked(self, most_s: float, answer: threading.Event, message: str, *values: Any) -> bool:
+        """Say it, and again when nothing comes back, until the answer is there."""
+        until = time.monotonic() + most_s
+        for _ in range(_TRIES):
+            self._sign_s = time.monotonic()
+            self._say(message, *values)
+            while (now := time.monotonic()) - self._sign_s < _WAIT_S and now < until:
+                if answer.wait(0.05):
+                    return True
+            if now >= until:
+                break
+        return answer.is_set()
 
     def fly_from(self, item: int) -> None:
         """Go on with this item of the mission."""
@@ -213,11 +270,19 @@ class VehicleLink:
         elif kind == "MISSION_CURRENT":
             heard.item = message.seq
         elif kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            self._sign_s = time.monotonic()
             self._send_item(message.seq)
         elif kind == "MISSION_ACK":
-            with self._lock:
-                self._answer["mission"] = message.type
-                self._answered.set()
+            self._answer = message.type
+            self._answered.set()
+        elif kind == "MISSION_COUNT":
+            self._count = message.count
+            self._counted.set()
+        elif kind == "MISSION_ITEM_INT":
+            params = (message.param1, message.param2, message.param3, message.param4)
+            place = (message.x / 1e7, message.y / 1e7, message.z)
+            self._aboard[message.seq] = Item(message.command, message.frame, params, *place)
+            self._came.set()
         level = self._level_of(kind, message)
         if level is not None and time.monotonic() - heard.place_s < 1.0:
             heard.levels.append((time.time(), heard.latitude, heard.longitude, level))

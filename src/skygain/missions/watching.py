@@ -6,7 +6,8 @@ __all__ = ["Watched"]
 
 import json
 import threading
-from collections import OrderedDict
+import time
+from collections import Counter, OrderedDict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from skygain.reports.pictures import uav_colours
 _KEPT = 64
 _PLAN_MOMENTS = 24
 """moments of the timeline that one sortie's flight is shown at"""
+_STALE_S = 10.0
+"""what a live flight said longer ago was said by one that died"""
 LIVE = "live.json"
 """file of the folder in which a live flight says where its vehicles are"""
 
@@ -111,6 +114,7 @@ class Watched:
             last = mission.journal.last
         moments: list[dict[str, Any]] = [{"kind": "begun", "event": 0, "text": "before the first"}]
         latest = 0
+        came = Counter(event_of)
         for event in events:
             if event["kind"] == "planned":
                 number = event["sortie"]["number"]
@@ -125,7 +129,7 @@ class Watched:
                     {
                         "kind": "ingested",
                         "event": latest,
-                        "text": f"{event['file']}: {event['readings']} readings",
+                        "text": f"{event['file']}: {came[latest]} readings",
                     }
                 )
             elif event["kind"] == "lost":
@@ -197,6 +201,7 @@ class Watched:
     def live(self) -> dict[str, Any] | None:
         """Where the vehicles of a live flight are, as it last said; ``None`` without one."""
         try:
-            return dict(json.loads((self.folder / LIVE).read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
+            told = dict(json.loads((self.folder / LIVE).read_text(encoding="utf-8")))
+            return told if time.time() - told.pop("at") < _STALE_S else None
+        except (OSError, ValueError, TypeError, KeyError):
             return None
