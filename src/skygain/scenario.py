@@ -119,8 +119,23 @@ class Scenario:
         """The altitude of flight, and above what it is: ``"10 m above ground"``."""
         if self.datum_m is None:
             return f"{self.uav_altitude_m:g} m above ground"
-        above = self.city.ground_datum or "sea level"
-        return f"{self.datum_m + self.uav_altitude_m:g} m above {above}"
+        return f"{self.datum_m + self.uav_altitude_m:g} m above {self._zero}"
+
+    @property
+    def map_altitude_text(self) -> str:
+        """The altitude of the map, and above what it is."""
+        if self.datum_m is None:
+            return f"{self.prediction_altitude_m:g} m above ground"
+        return f"{self.datum_m + self.prediction_altitude_m:g} m above {self._zero}"
+
+    @property
+    def one_altitude(self) -> bool:
+        """Whether the map is at the altitude of flight."""
+        return self.uav_altitude_m == self.prediction_altitude_m
+
+    @property
+    def _zero(self) -> str:
+        return self.city.ground_datum or "sea level"
 
     @property
     def grid(self) -> Grid:

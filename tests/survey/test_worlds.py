@@ -95,3 +95,31 @@ def test_a_map_of_gains_over_a_city(tmp_path: Path) -> None:
     assert world.city.obstructed(10.0)[40:].all()  # where the map has nothing
     with pytest.raises(InputError, match="brings its own truth"):
         open_world(PlaceRequest(truth=a_truth(tmp_path), city="sample:0"))
+
+
+def test_the_map_may_be_at_another_altitude_than_the_flight() -> None:
+    low, high = (open_world("sample:2", altitude_m=z, rng=3) for z in (10.0, 20.0))
+    world = open_world("sample:2", altitude_m=20.0, map_altitude_m=10.0, rng=3)
+    np.testing.assert_array_equal(world.truth_db, low.truth_db)
+    assert world.flown_db is not None
+    np.testing.assert_array_equal(world.flown_db, high.truth_db)
+    cell = np.argwhere(world.scenario().flyable)[:1]
+    heard = world.instrument().measure(cell)
+    assert heard.gain_db[0] == high.truth_db[tuple(cell[0])] != low.truth_db[tuple(cell[0])]
+    assert world.scenario().map_altitude_text == "10 m above ground"
+    with pytest.raises(InputError, match="has no altitude 11 m"):
+        open_world("sample:2", map_altitude_m=11.0)
+
+
+def test_both_altitudes_are_traced_over_any_city() -> None:
+    place = PlaceRequest(city="7", propagation="over-rooftop", crop=30, transmitter="240,240,1.5")
+    world = open_world(place, altitude_m=30.0, map_altitude_m=12.0)
+    for altitude_m, gain in ((12.0, world.truth_db), (30.0, world.flown_db)):
+        alone = open_world(place, altitude_m=altitude_m)
+        np.testing.assert_array_equal(alone.truth_db, gain)
+        assert alone.flown_db is None
+
+
+def test_a_truth_is_at_one_altitude(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="leave `map_altitude_m` out"):
+        open_world(PlaceRequest(truth=a_truth(tmp_path)), map_altitude_m=25.0)

@@ -35,7 +35,7 @@ from skygain.survey.methods import MethodSpec, for_quantity
 from skygain.survey.origins import method_files
 from skygain.survey.requests import EnduranceRequest, RecordingRequest
 from skygain.survey.tape import FlightTape
-from skygain.survey.territory import asked_position, at_sea_level, bounded, city_around
+from skygain.survey.territory import above_zero, asked_position, at_sea_level, bounded, city_around
 from skygain.survey.worlds import open_world
 
 if TYPE_CHECKING:
@@ -274,6 +274,7 @@ def _simulated(
     world = open_world(
         request,
         altitude_m=request.altitude_m,
+        map_altitude_m=request.map_altitude_m,
         rng=np.random.default_rng(world_seed),
         told=progress.phase,
     )
@@ -309,14 +310,18 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     if request.transmitter != "random":
         transmitter = asked_position(request.transmitter, grid)
     altitude_m, datum_m = request.altitude_m, None
+    map_altitude_m = request.map_altitude_m
     if request.above_sea:
         if city is None:
             raise InputError("`above_sea` needs to know the ground; give `city` and its `terrain`")
         city, altitude_m, transmitter, datum_m = at_sea_level(city, altitude_m, transmitter)
+        if map_altitude_m is not None:
+            map_altitude_m = above_zero(map_altitude_m, datum_m)
     scenario = replay_scenario(
         gridded,
         city,
         uav_altitude_m=altitude_m,
+        prediction_altitude_m=map_altitude_m,
         transmitter_m=transmitter,
         frequency_hz=request.carrier_hz,
     )
@@ -333,7 +338,7 @@ def _recorded(request: SurveyRequest, progress: Progress) -> _Setting:
     return _Setting(
         scenario,
         ReplayInstrument(gridded),
-        replay_truth(gridded),
+        replay_truth(gridded) if scenario.one_altitude else None,
         None,
         transmitter,
         title,

@@ -101,11 +101,15 @@ class SurveyRequest(
         skygain survey --city buildings.geojson --uavs 5 --noise-db 2 --stop-std 6
         skygain survey --city sample:9 --predictor kriging --planner lawnmower
         skygain survey --replay campaign.csv --where pci=101
+        skygain survey --city sample:9 --altitude 20 --map-altitude 10 --predictor kriging
         skygain survey --config surveys/latest/results.json --seed 1 --out surveys/again
         skygain survey --resume surveys/latest
     """
 
     runs: ClassVar[str] = "skygain.app.fly:run_survey"
+
+    map_altitude_m: float | None = None
+    """altitude of the map, metres above the ground; that of flight when left out"""
 
 
 @dataclass(frozen=True, kw_only=True)

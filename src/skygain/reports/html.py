@@ -75,6 +75,8 @@ def _lede(outcome: Outcome) -> str:
         f"{cols * spacing:g} × {rows * spacing:g} m "
         f"in cells of {spacing:g} m, {scenario.frequency_hz / 1e9:g} GHz"
     )
+    if not scenario.one_altitude:
+        text += f"; the map is at {scenario.map_altitude_text}"
     if outcome.grid.crs is not None:
         text += f", {outcome.grid.crs}"
     if outcome.transmitter_m is None:

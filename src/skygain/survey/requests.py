@@ -119,7 +119,7 @@ class FlightRequest(Request):
     start: str = "cluster"
     """cluster (all in one square of 40 m) or spread (anywhere)"""
     altitude_m: float = 10.0
-    """altitude of flight and map, metres above the ground"""
+    """altitude of flight, and of the map where nothing else is said, metres above the ground"""
     min_distance_m: float = 0.0
     """least distance between two UAVs in metres"""
     allow_sharing: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 __all__ = [
+    "above_zero",
     "asked_city",
     "asked_position",
     "at_sea_level",
@@ -115,6 +116,20 @@ def at_sea_level(
     scenario = Scenario.at_level(city, altitude_m, transmitter_m=position_m)
     assert scenario.datum_m is not None
     return scenario.city, scenario.uav_altitude_m, scenario.transmitter_m, scenario.datum_m
+
+
+def above_zero(level_m: float, datum_m: float) -> float:
+    """The altitude above the common zero of a level above the sea.
+
+    Raises:
+        InputError: the level lies below the lowest ground.
+    """
+    if not level_m > datum_m:
+        raise InputError(
+            f"`map_altitude_m={level_m:g}` lies below the lowest ground, {datum_m:g} m above the "
+            "sea; give a higher level, or leave `above_sea` out"
+        )
+    return level_m - datum_m
 
 
 def bounded(scenario: Scenario, request: TerritoryRequest) -> tuple[Scenario, tuple[str, ...]]:

@@ -23,7 +23,7 @@ from skygain.city import City
 from skygain.ground.errors import InputError
 from skygain.scenario import Scenario, check_transmitter
 from skygain.survey.requests import PlaceRequest
-from skygain.survey.territory import asked_city, asked_position, at_sea_level
+from skygain.survey.territory import above_zero, asked_city, asked_position, at_sea_level
 
 if TYPE_CHECKING:
     from skygain.cities import Reading
@@ -43,24 +43,28 @@ class World:
     transmitter_m: tuple[float, float, float]
     """where the transmitter really is, in the city's metres; possibly outside the map"""
     truth_db: NDArray[np.float32]
-    """``[row, col]`` gain at the altitude asked for"""
+    """``[row, col]`` gain at the altitude of the map"""
     ray_traced: NDArray[np.bool_] | None = None
     """``[row, col]`` cells a ray reached, when rays were traced"""
     altitude_m: float = 10.0
-    """altitude of the truth"""
+    """altitude of flight"""
     frequency_hz: float = 5e9
     """carrier frequency"""
     datum_m: float | None = None
     """height above the sea of the altitude's zero, where the flight keeps a level"""
     source: Reading | None = None
     """the city as it was read, with what its reader assumed; ``None`` for a data set"""
+    map_altitude_m: float | None = None
+    """altitude of the map, where it is not that of flight"""
+    flown_db: NDArray[np.float32] | None = None
+    """``[row, col]`` gain at the altitude of flight, where it is not that of the map"""
 
     def scenario(self) -> Scenario:
         """What may be known of it, the transmitter included."""
         return Scenario(
             self.city,
             uav_altitude_m=self.altitude_m,
-            prediction_altitude_m=self.altitude_m,
+            prediction_altitude_m=self.map_altitude_m or self.altitude_m,
             transmitter_m=self.transmitter_m,
             frequency_hz=self.frequency_hz,
             datum_m=self.datum_m,
@@ -68,7 +72,8 @@ class World:
 
     def instrument(self, noise_db: float = 0.0, rng: np.random.Generator | int = 0) -> Instrument:
         """Receivers that measure in it."""
-        return simulated_instrument(self.truth_db, noise_db, np.random.default_rng(rng))
+        heard_db = self.truth_db if self.flown_db is None else self.flown_db
+        return simulated_instrument(heard_db, noise_db, np.random.default_rng(rng))
 
 
 def simulated_instrument(
@@ -136,6 +141,7 @@ def _dataset_world(
     dataset: ChannelDataset,
     number: int | None,
     altitude_m: float,
+    map_altitude_m: float | None,
     frequency_hz: float | None,
     crop: int,
     rng: np.random.Generator,
@@ -147,11 +153,12 @@ def _dataset_world(
             "truth is computed"
         )
     links = dataset.links(None, altitude_m)
-    if not links:
-        raise InputError(
-            f"that data set has no map at {altitude_m:g} m; choose an altitude it holds (skygain "
-            "dataset info)"
-        )
+    for wanted_m in (altitude_m, map_altitude_m):
+        if wanted_m is not None and not dataset.links(None, wanted_m):
+            raise InputError(
+                f"that data set has no map at {wanted_m:g} m; choose an altitude it holds (skygain "
+                "dataset info)"
+            )
     if number is None:
         number = links[int(rng.integers(len(links)))]
     if number not in links:
@@ -162,13 +169,16 @@ def _dataset_world(
     link: Link = dataset.link(number, altitude_m)
     row, col, window = _crop_corner(link.city.grid.shape, crop, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
+    mapped = link if map_altitude_m is None else dataset.link(number, map_altitude_m)
     return World(
         city=link.city.cropped(row, col, window),
         transmitter_m=tuple(float(v) for v in link.transmitter_m),  # type: ignore[arg-type]
-        truth_db=link.truth_db[rows, cols],
-        ray_traced=link.ray_traced[rows, cols],
+        truth_db=mapped.truth_db[rows, cols],
+        ray_traced=mapped.ray_traced[rows, cols],
         altitude_m=altitude_m,
         frequency_hz=dataset.frequency_hz,
+        map_altitude_m=map_altitude_m,
+        flown_db=None if map_altitude_m is None else link.truth_db[rows, cols],
     )
 
 
@@ -229,15 +239,17 @@ def open_world(
     place: PlaceRequest | str,
     *,
     altitude_m: float = 10.0,
+    map_altitude_m: float | None = None,
     rng: np.random.Generator | int = 0,
     told: Callable[[str], None] = lambda phase: None,
 ) -> World:
-    """The world that ``place`` asks for, with the truth at one altitude.
+    """The world that ``place`` asks for, with the truth at the altitudes of flight and map.
 
     Args:
         place: a request; a text stands for ``PlaceRequest(city=text)``. Without a city, the
             packaged sample.
-        altitude_m: altitude of the truth.
+        altitude_m: altitude of flight.
+        map_altitude_m: altitude of the map; that of flight when left out.
         rng: draws the window, the transmitter, the link; a number is a seed.
         told: hears what is done next.
 
@@ -248,7 +260,14 @@ def open_world(
     if isinstance(place, str):
         place = PlaceRequest(city=place)
     rng = np.random.default_rng(rng)
+    if map_altitude_m is not None and isclose(map_altitude_m, altitude_m):
+        map_altitude_m = None
     if place.truth is not None:
+        if map_altitude_m is not None:
+            raise InputError(
+                "a `truth` is at one altitude, so the map cannot have another than the flight; "
+                "leave `map_altitude_m` out"
+            )
         told("reading the truth")
         return _mapped_world(place, altitude_m, rng)
     spec = place.city or "sample"
@@ -261,7 +280,7 @@ def open_world(
                 "choose another city"
             )
         side = PROTOCOL_CROP if place.crop is None else place.crop
-        return _dataset_world(*found, altitude_m, place.frequency_hz, side, rng)
+        return _dataset_world(*found, altitude_m, map_altitude_m, place.frequency_hz, side, rng)
 
     from skygain.propagation import PROPAGATION, RAYS_ALONE
 
@@ -281,6 +300,8 @@ def open_world(
     if getattr(place, "above_sea", False):
         city, altitude_m, found_m, datum_m = at_sea_level(city, altitude_m, position)
         position = found_m or position
+        if map_altitude_m is not None:
+            map_altitude_m = above_zero(map_altitude_m, datum_m)
     if place.crop is not None:
         side = place.crop
     else:
@@ -288,25 +309,28 @@ def open_world(
     row, col, window = _crop_corner(city.grid.shape, side, rng)
     rows, cols = slice(row, row + window[0]), slice(col, col + window[1])
     told(f"computing the truth ({place.propagation})")
-    where = (city, np.array([position]), [altitude_m])
+    altitudes_m = [altitude_m] if map_altitude_m is None else [map_altitude_m, altitude_m]
+    where = (city, np.array([position]), altitudes_m)
     seed, traced = int(rng.integers(2**31)), None
     if place.propagation == "union":
         from skygain.propagation.truth import RELIEF, trace_truth
 
         truth = trace_truth(*where, frequency_hz=place.carrier_hz)
-        gain_db, traced = truth.gain_db[0, 0], truth.ray_traced[0, 0][rows, cols]
+        gain_db, traced = truth.gain_db[0], truth.ray_traced[0, 0][rows, cols]
         if not city.is_level:
             reading = replace(reading, remarks=(*reading.remarks, RELIEF))
     else:
-        gain_db = model(*where, frequency_hz=place.carrier_hz, seed=seed)[0, 0]
+        gain_db = model(*where, frequency_hz=place.carrier_hz, seed=seed)[0]
     window_city = city.cropped(row, col, window)
     return World(
         window_city,
         position,
-        gain_db[rows, cols],
+        gain_db[0][rows, cols],
         traced,
         altitude_m,
         place.carrier_hz,
         datum_m,
         reading,
+        map_altitude_m,
+        None if map_altitude_m is None else gain_db[1][rows, cols],
     )

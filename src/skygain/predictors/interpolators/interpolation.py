@@ -48,6 +48,16 @@ class ReadingsPredictor(Predictor):
     def begin(self, scenario: Scenario) -> InterpolationBelief:
         return InterpolationBelief(self, scenario, Measurements.none())
 
+    def outside_training(
+        self, scenario: Scenario, *, uavs: int | None = None, quantity: str = "gain"
+    ) -> str:
+        if scenario.one_altitude:
+            return ""
+        return (
+            f"it takes the readings at {scenario.altitude_text} for the map's values at "
+            f"{scenario.map_altitude_text}; kriging and operator model what lies between"
+        )
+
 
 class InterpolationBelief(Belief):
     """Readings on a map. A reading at the receiver's floor counts as a reading of the floor's
