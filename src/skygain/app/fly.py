@@ -31,7 +31,7 @@ from skygain.scenario import Scenario
 from skygain.survey.deployment import deployed
 from skygain.survey.loop import Survey, SurveyConfig
 from skygain.survey.memory import demand_memory, in_words
-from skygain.survey.methods import MethodSpec, for_quantity
+from skygain.survey.methods import MethodSpec, for_quantity, parse_spec
 from skygain.survey.origins import method_files
 from skygain.survey.requests import EnduranceRequest, RecordingRequest
 from skygain.survey.tape import FlightTape
@@ -198,10 +198,15 @@ def fly(
     for line in notes:
         progress.note(f"  {line}")
     _need_transmitter(scenario, predictor, method)
-    unlike = predictor.outside_training(scenario, uavs=request.uavs, quantity=setting.quantity)
-    if unlike:
-        progress.note(unlike)
-        notes = (*notes, unlike)
+    flown = {"uavs": request.uavs, "quantity": setting.quantity}
+    name, _ = parse_spec(method.predictor.removesuffix("+tx"))
+    for unlike in (
+        predictor.outside_training(scenario, **flown),
+        planner.outside_training(name, **flown),
+    ):
+        if unlike:
+            progress.note(unlike)
+            notes = (*notes, unlike)
 
     def told(step: int, scores: dict[str, float]) -> None:
         known = np.isfinite(scores.get("rmse_db", np.nan))

@@ -256,8 +256,8 @@ class DatasetBuildRequest(OwnCitiesRequest):
     runs: ClassVar[str] = "skygain.app.data_sets:run_build"
 
     preset: str | None = None
-    """paper, small, tiny, sample (what ships), more-cities, more-altitudes, more-kinds, more-scenes
-    or large"""
+    """paper, light, small, tiny, sample (what ships), more-cities, more-altitudes, more-kinds,
+    more-scenes or large"""
     out: Path
     """the data set to write, PATH.zarr.zip"""
     workers: int = 1

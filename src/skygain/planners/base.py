@@ -79,3 +79,14 @@ class Planner(ABC):
         planning is a function of its arguments: the same swarm, belief, horizon and seed give the
         same plan.
         """
+
+    def outside_training(self, predictor: str, *, uavs: int, quantity: str = "gain") -> str:
+        """One line that says in what a survey is unlike all that the planner was trained for;
+        empty where it is not, and for a planner that nobody trained.
+
+        Args:
+            predictor: name of the method whose beliefs it sees, without options.
+            uavs: how many fly.
+            quantity: what the readings are of, see `GriddedRecording.quantity`.
+        """
+        return ""

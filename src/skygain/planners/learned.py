@@ -61,6 +61,26 @@ class PolicyPlanner(Planner):
                 return Plan(np.stack([swarm.cells, then], axis=1), commit_steps=1)
         raise blocked_home()
 
+    def outside_training(self, predictor: str, *, uavs: int, quantity: str = "gain") -> str:
+        recipe = self._network.weights.card.get("recipe", {})
+        beliefs = recipe.get("predictors") or [recipe.get("predictor", predictor)]
+        trained, here = [], []
+        if predictor not in beliefs:
+            trained.append(f"beliefs of {' and '.join(dict.fromkeys(beliefs))}")
+            here.append(f"those of {predictor}")
+        if uavs != recipe.get("n_uavs", uavs):
+            trained.append(f"{recipe['n_uavs']} UAVs")
+            here.append("1 UAV" if uavs == 1 else f"{uavs} UAVs")
+        if quantity != "gain":
+            trained.append("gains in dB")
+            here.append("levels in dBm")
+        if not trained:
+            return ""
+        return (
+            f"the planner {Path(self.weights).stem} was trained for {', '.join(trained)}, here are "
+            f"{', '.join(here)}: its ways may teach less"
+        )
+
     def values(self, swarm: Swarm, belief: Belief) -> NDArray[np.float64]:
         """``[uav, move]`` how much each UAV's network favours each move, legal or not."""
         posterior, n = belief.posterior(), swarm.n_uavs
