@@ -11,6 +11,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     kriging,
     measured,
     memory,
+    mission_live,
     missions,
     networks,
     paper,

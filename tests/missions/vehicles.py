@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -91,6 +92,9 @@ class SimulatedVehicle:
         autopilot: ``"PX4"`` or ``"ARDUPILOTMEGA"``.
         pace: its seconds in one second.
         reject: number of an item that it refuses.
+        link: its end of the connection, where it is not UDP to ``port``.
+        delay_s: what it hears, it hears so late.
+        acknowledges: whether it says that a mission has come.
     """
 
     def __init__(
@@ -103,13 +107,18 @@ class SimulatedVehicle:
         autopilot: str = "PX4",
         pace: float = 20.0,
         reject: int | None = None,
+        link: str | None = None,
+        delay_s: float = 0.0,
+        acknowledges: bool = True,
     ) -> None:
         from pymavlink import mavutil
 
         self.mav = mavutil.mavlink
         self.link = mavutil.mavlink_connection(
-            f"udpout:127.0.0.1:{port}", source_system=system, source_component=1
+            link or f"udpout:127.0.0.1:{port}", source_system=system, source_component=1
         )
+        self.delay_s, self.acknowledges = delay_s, acknowledges
+        self._late: deque[tuple[float, Any]] = deque()
         self.level, self.pace, self.reject = level, pace, reject
         self.px4 = autopilot == "PX4"
         self.autopilot = getattr(self.mav, f"MAV_AUTOPILOT_{autopilot}")
@@ -124,7 +133,9 @@ class SimulatedVehicle:
         self.silent_until = self.hold = self.pace_mps = 0.0
         self.trace: list[tuple[float, float, float, float]] = []
         """(wall time, latitude, longitude, height) at every step"""
-        self.uploads = self.sent = 0
+        self.uploads = 0
+        self.sent_s: list[float] = []
+        """moments at which it sent a reading"""
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -165,7 +176,9 @@ class SimulatedVehicle:
             cut = now < self.silent_until
             while (message := self.link.recv_match(blocking=False)) is not None:
                 if not cut:
-                    self._hear(message)
+                    self._late.append((now + self.delay_s, message))
+            while self._late and self._late[0][0] <= now:
+                self._hear(self._late.popleft()[1])
             if cut:
                 continue
             for name, every, say in (
@@ -239,7 +252,7 @@ class SimulatedVehicle:
     def _level(self) -> None:
         if self.xyz[2] > 2.0:
             self.link.mav.named_value_float_send(0, b"rsrp", self.level(*self.place))
-            self.sent += 1
+            self.sent_s.append(time.time())
 
     def _hear(self, message: Any) -> None:
         kind = message.get_type()
@@ -258,7 +271,8 @@ class SimulatedVehicle:
                 else:
                     self.items, self.wanted, self.current = self.coming, 0, 0
                     self.uploads += 1
-                    self.link.mav.mission_ack_send(*source, 0, 0)
+                    if self.acknowledges:
+                        self.link.mav.mission_ack_send(*source, 0, 0)
         elif kind == "MISSION_REQUEST_LIST":
             self.link.mav.mission_count_send(*source, len(self.items), 0)
         elif kind == "MISSION_REQUEST_INT" and message.seq < len(self.items):

@@ -185,15 +185,16 @@ def run_serve(request: MissionServeRequest, progress: Progress) -> str:
     """Serve the live page until it is interrupted."""
     require("starlette", "serve")
     require("uvicorn", "serve")
-    import secrets
     import socket
 
     import uvicorn
 
-    from skygain.missions.serve import application, is_loopback
+    from skygain.missions.folder import Mission
+    from skygain.missions.serve import application, is_loopback, kept_token
 
     progress.phase("reading the mission")
-    token = secrets.token_urlsafe(24)
+    with Mission.opened(request.folder):
+        token = kept_token(request.folder)
     served = application(request.folder, request.host, token)
     family = socket.AF_INET6 if ":" in request.host else socket.AF_INET
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["Intake", "Taken", "take_in"]
+__all__ = ["Intake", "Taken", "dated", "take_in"]
 
 import math
 import time
@@ -169,21 +169,41 @@ def _began(recording: Recording, mission: Mission, shift_hours: float) -> float 
     if recording.began_s is None or recording.time_s is None:
         return None
     began = recording.began_s + 3600.0 * shift_hours
-    ended = began + float(recording.time_s.max())
     planned = datetime.fromisoformat(mission.journal.events("planned")[0]["time"]).timestamp()
+    dated(recording.source, began, began + float(recording.time_s.max()), planned, shift_hours)
+    return began
+
+
+def dated(
+    source: str, began: float, ended: float, planned: float, shift_hours: float | None
+) -> None:
+    """Readings from ``began`` to ``ended``, in seconds since 1970, may be this mission's.
+
+    Args:
+        source: what they came with.
+        began: the first.
+        ended: the last.
+        planned: when the mission's first sortie was.
+        shift_hours: what their times were shifted by; ``None`` where they cannot be.
+
+    Raises:
+        InputError: before anything was planned, or later than now.
+    """
     now = time.time()
     if planned - _EARLY_S <= began and ended <= now + _EARLY_S:
-        return began
+        return
     off = began - planned if began < planned - _EARLY_S else ended - now
     hours = abs(off) / 3600.0
     shown = f"{hours:.1f} h" if hours < 72 else f"{hours / 24:.0f} days"
     side = "before the first plan was made" if off < 0 else "after now"
-    mend = math.ceil(hours - _EARLY_S / 3600.0) * (1 if off < 0 else -1)
     first = datetime.fromtimestamp(began, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    told = f"{source} is dated {shown} {side} (first reading {first})"
+    if shift_hours is None:
+        raise InputError(f"{told}, so it is of another mission or the sender's clock is off")
+    mend = math.ceil(hours - _EARLY_S / 3600.0) * (1 if off < 0 else -1)
     raise InputError(
-        f"{recording.source} is dated {shown} {side} (first reading {first}), so it is of another "
-        f"mission or its clock is off; if it is of this one, give `shift_hours="
-        f"{shift_hours + mend:g}`"
+        f"{told}, so it is of another mission or its clock is off; if it is of this one, give "
+        f"`shift_hours={shift_hours + mend:g}`"
     )
 
 

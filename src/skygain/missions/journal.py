@@ -137,26 +137,26 @@ class Journal:
     def take_in(self, kind: str, body: Mapping[str, Any], readings: Sequence[Reading]) -> int:
         """Add an event with the readings that came with it, all or none of them; returns how many
         were new. Where none is, no event is added."""
-        return self._take_in(None, kind, body, readings)[1]
+        return len(self._take_in(None, kind, body, readings)[1])
 
     def _take_in(
         self, event: int | None, kind: str, body: Mapping[str, Any], readings: Sequence[Reading]
-    ) -> tuple[int | None, int]:
+    ) -> tuple[int | None, set[str]]:
         """The number of the event that the readings were added to, a new one without ``event``, and
-        how many of them were new."""
+        the hashes of those that were new."""
         names = ("hash", "event", *(f.name for f in fields(Reading)))
         marks = ", ".join("?" * len(names))
         with self._all_or_nothing():
             known = self.known([one.hash for one in readings])
             new = {one.hash: one for one in readings if one.hash not in known}
             if not new:
-                return event, 0
+                return event, set()
             event = event or self._event(kind, body)
             self._db.executemany(
                 f"INSERT INTO readings ({', '.join(names)}) VALUES ({marks})",
                 [(key, event, *astuple(one)) for key, one in new.items()],
             )
-            return event, len(new)
+            return event, set(new)
 
     def known(self, hashes: Sequence[str]) -> set[str]:
         """Those of ``hashes`` whose readings are kept already."""
@@ -170,11 +170,11 @@ class Journal:
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Every event of these kinds, or all, in order, each with ``id``, ``time``, ``kind``."""
-        rows = self._db.execute("SELECT id, time, kind, body FROM events ORDER BY id").fetchall()
+        some = f"WHERE kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
+        asked = f"SELECT id, time, kind, body FROM events {some} ORDER BY id"
         return [
-            {**json.loads(body), "id": number, "time": time, "kind": kind}
-            for number, time, kind, body in rows
-            if not kinds or kind in kinds
+            {**json.loads(body), "id": number, "time": when, "kind": kind}
+            for number, when, kind, body in self._db.execute(asked, kinds)
         ]
 
     def readings(self, after: int = 0) -> list[Reading]:
@@ -222,9 +222,19 @@ class Stream:
 
     def take_in(self, readings: Sequence[Reading]) -> int:
         """Keep them, all or none; returns how many were new."""
+        return self.take_in_all([readings])[0]
+
+    def take_in_all(self, lots: Sequence[Sequence[Reading]]) -> list[int]:
+        """Keep several lots, all or none; returns how many of each were new."""
         now = time.monotonic()
         event = self._event if now < self._until_s else None
-        kept, new = self._journal._take_in(event, "ingested", self._body, readings)
+        every = [reading for lot in lots for reading in lot]
+        kept, new = self._journal._take_in(event, "ingested", self._body, every)
         if kept is not None and kept != event:
             self._event, self._until_s = kept, now + self._every_s
-        return new
+        counts = []
+        for lot in lots:
+            mine = {one.hash for one in lot} & new
+            new -= mine
+            counts.append(len(mine))
+        return counts

@@ -250,7 +250,7 @@ class LiveFlight:
         if aboard is None:
             return
         if same_mission(aboard, self._orders(rider.offered[0])[0]):
-            self._keep("replanned", {"uav": rider.uav})
+            self._keep("replanned", {"uav": rider.uav, "offer": rider.offer})
             rider.take(*rider.offered)
             rider.found_again(self.site.grid, self.now())
         else:
@@ -306,7 +306,7 @@ class LiveFlight:
         offer = self._keep("offered", {"flight": flight.as_data(), "began_s": began_s})
         if not offer:
             return
-        rider.offered = flight, began_s
+        rider.offered, rider.offer = (flight, began_s), offer
         taken = rider.link.upload(*self._orders(flight), _SENDING_S)
         if taken:
             rider.link.fly_from(self._next_item(rider, flight))

@@ -182,7 +182,8 @@ class MissionFlyRequest(MissionRequest):
     runs: ClassVar[str] = "skygain.missions.commands:run_fly"
 
     link: tuple[Path, ...] = ()
-    """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or DEVICE,BAUD; one for each UAV"""
+    """udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT, tcpout:HOST:PORT or DEVICE,BAUD; one for
+    each UAV"""
     dry_run: bool = False
     """show what would be sent, and send nothing"""
     arm: bool = False

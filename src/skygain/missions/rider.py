@@ -37,6 +37,8 @@ class Rider:
     offered: tuple[Flight, float] | None = None
     """a newer flight and the moment at which it begins, sent without an answer: the vehicle has
     either"""
+    offer: int = 0
+    """event of the journal that tells of the newest flight it was sent"""
     settle_s: float = 0.0
     """not asked before this moment which of the two it has"""
     done: int = 0

@@ -6,12 +6,15 @@ it. Nothing is loaded from anywhere else.
 
 from __future__ import annotations
 
-__all__ = ["application", "is_loopback"]
+__all__ = ["application", "is_loopback", "kept_token"]
 
 import asyncio
+import contextlib
 import hmac
 import ipaddress
 import json
+import math
+import secrets
 import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib.resources import files
@@ -34,13 +37,17 @@ from starlette.responses import (
 from starlette.routing import Route
 
 from skygain.ground.errors import InputError
+from skygain.ground.files import atomic_write
 from skygain.missions.folder import Mission
 from skygain.missions.ingest import take_in
+from skygain.missions.posting import MOST_BYTES as POST_BYTES
+from skygain.missions.posting import BusyError, Posts, posted_readings
 from skygain.missions.watching import Watched
 
 MOST_BYTES = 200_000_000
 """largest log that is taken over the page"""
 _LOOK_S = 0.4
+_TOKEN_CHARACTERS = 32
 _BEAT_S = 15.0
 _HEADERS = {
     "Content-Security-Policy": (
@@ -62,6 +69,25 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def kept_token(folder: Path) -> str:
+    """The mission's token, made when it is first asked for; the page's address and senders keep
+    working when the server is started again.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    path = folder / ".token"
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        token = path.read_text(encoding="ascii").strip()
+        if len(token) >= _TOKEN_CHARACTERS:
+            return token
+    token = secrets.token_urlsafe(24)
+    with atomic_write(path) as tmp:
+        tmp.chmod(0o600)
+        tmp.write_text(token + "\n", encoding="ascii")
+    return token
+
+
 def application(folder: Path, host: str, token: str) -> Starlette:
     """The server's application.
 
@@ -76,7 +102,8 @@ def application(folder: Path, host: str, token: str) -> Starlette:
     """
     watched = Watched(folder)
     _ = watched.place
-    watched.maps(watched.last())
+    watched.maps(watched.now()["count"])
+    posts = Posts(folder / "journal.sqlite")
     open_to_read = is_loopback(host)
 
     def shown(request: Request) -> bool:
@@ -120,11 +147,18 @@ def application(folder: Path, host: str, token: str) -> Starlette:
         return JSONResponse(await run_in_threadpool(watched.story))
 
     async def maps(request: Request) -> Response:
-        event = int(request.path_params["event"])
-        mean, std, error = await run_in_threadpool(watched.maps, event)
+        count = int(request.path_params["count"])
+        mean, std, error = await run_in_threadpool(watched.maps, count)
         body = mean.astype("<f4").tobytes() + std.astype("<f4").tobytes()
         headers = {"X-Expected-Error": f"{error:.3f}"}
         return Response(body, media_type="application/octet-stream", headers=headers)
+
+    async def curve(request: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(watched.curve))
+
+    async def heard(request: Request) -> Response:
+        after = int(_number(request, "after"))
+        return JSONResponse(await run_in_threadpool(watched.heard, max(0, after)))
 
     async def changes(request: Request) -> Response:
         return StreamingResponse(
@@ -135,7 +169,7 @@ def application(folder: Path, host: str, token: str) -> Starlette:
 
     async def readings(request: Request) -> Response:
         name = Path(request.query_params.get("name", "log.csv")).name or "log.csv"
-        shift = _number(request.query_params.get("shift_hours", "0"))
+        shift = _number(request, "shift_hours")
         with tempfile.TemporaryDirectory() as place_for:
             path = Path(place_for) / name[-120:]
             size = 0
@@ -150,6 +184,28 @@ def application(folder: Path, host: str, token: str) -> Starlette:
                     file.write(chunk)
             told = await run_in_threadpool(_taken, folder, path, shift, watched)
         return JSONResponse({"told": told})
+
+    async def posted(request: Request) -> Response:
+        body = bytearray()
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > POST_BYTES:
+                raise InputError(
+                    f"the post has more than {POST_BYTES / 1e6:.0f} MB; send fewer readings at once"
+                )
+        kind = request.headers.get("content-type", "application/json")
+        readings = posted_readings(bytes(body), kind, watched.wanted())
+        try:
+            new = await asyncio.wrap_future(posts.add(readings))
+        except BusyError:
+            told = {"error": "too many readings wait to be written; post them again in a second"}
+            return JSONResponse(told, status_code=503, headers={"Retry-After": "1"})
+        return JSONResponse({"readings": len(readings), "new": new})
+
+    @contextlib.asynccontextmanager
+    async def writing_posts(_: Starlette) -> AsyncIterator[None]:
+        with posts:
+            yield
 
     async def download(request: Request) -> Response:
         number, name = int(request.path_params["number"]), request.path_params["name"]
@@ -168,15 +224,19 @@ def application(folder: Path, host: str, token: str) -> Starlette:
             Route("/page.js", page("page.js", "text/javascript")),
             Route("/api/place", reading(place)),
             Route("/api/story", reading(story)),
-            Route("/api/maps/{event:int}", reading(maps)),
+            Route("/api/maps/{count:int}", reading(maps)),
+            Route("/api/curve", reading(curve)),
             Route("/api/changes", reading(changes)),
+            Route("/api/readings", reading(heard), methods=["GET"]),
             Route("/api/readings", writing(readings), methods=["PUT"]),
+            Route("/api/readings", writing(posted), methods=["POST"]),
             Route("/sorties/{number:int}/{name:str}", reading(download)),
         ],
         middleware=[
             Middleware(TrustedHostMiddleware, allowed_hosts=names),
             Middleware(GZipMiddleware, minimum_size=2000),
         ],
+        lifespan=writing_posts,
     )
 
 
@@ -191,11 +251,13 @@ def _refused() -> Response:
     return _sealed(JSONResponse({"error": told}, status_code=401))
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"`shift_hours` must be a number, got {text[:40]!r}") from None
+def _number(request: Request, name: str) -> float:
+    text = request.query_params.get(name, "0")
+    with contextlib.suppress(ValueError):
+        value = float(text)
+        if math.isfinite(value):
+            return value
+    raise InputError(f"`{name}` must be a number, got {text[:40]!r}")
 
 
 def _taken(folder: Path, path: Path, shift_hours: float, watched: Watched) -> str:
@@ -206,14 +268,11 @@ def _taken(folder: Path, path: Path, shift_hours: float, watched: Watched) -> st
 
 
 async def _changes(watched: Watched, request: Request) -> AsyncIterator[str]:
-    """The number of the newest event and where vehicles are, whenever either changes."""
+    """What `Watched.now` tells, whenever it changes."""
     before: dict[str, Any] = {}
     quiet_s = 0.0
     while not await request.is_disconnected():
-        now = {
-            "last": await run_in_threadpool(watched.last),
-            "live": await run_in_threadpool(watched.live),
-        }
+        now = await run_in_threadpool(watched.now)
         if now != before:
             yield f"data: {json.dumps(now)}\n\n"
             before, quiet_s = now, 0.0

@@ -88,8 +88,8 @@ def connection_text(link: str) -> tuple[str, int]:
         device = found[1] if found[1].startswith(("/", "COM")) else f"/{found[1]}"
         return device, int(found[2])
     raise InputError(
-        f"`link` {link!r} is no address; write udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or "
-        "DEVICE,BAUD"
+        f"`link` {link!r} is no address; write udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT, "
+        "tcpout:HOST:PORT or DEVICE,BAUD"
     )
 
 
@@ -125,6 +125,8 @@ class VehicleLink:
         os.environ.setdefault("MAVLINK20", "1")
         mavutil = require("pymavlink.mavutil", "logs")
         text, baud = connection_text(link)
+        if baud:
+            require("serial", "logs")
         try:
             self._port = mavutil.mavlink_connection(
                 text, baud=baud or 57600, source_system=255, source_component=190
@@ -137,7 +139,7 @@ class VehicleLink:
         self._aboard: dict[int, Item] = {}
         self._answer = -1
         self._count: int | None = None
-        self._sign_s = 0.0
+        self._sign_s = self._read_s = 0.0
         self._answered, self._counted, self._came = (threading.Event() for _ in range(3))
         self._thread = threading.Thread(target=self._listen, daemon=True)
 
@@ -285,7 +287,9 @@ class VehicleLink:
             self._came.set()
         level = self._level_of(kind, message)
         if level is not None and time.monotonic() - heard.place_s < 1.0:
-            heard.levels.append((time.time(), heard.latitude, heard.longitude, level))
+            # two readings of a hovering vehicle that are heard at once are two readings
+            self._read_s = max(time.time(), self._read_s + 0.001)
+            heard.levels.append((self._read_s, heard.latitude, heard.longitude, level))
 
     def _level_of(self, kind: str, message: Any) -> float | None:
         wanted, name = self._level

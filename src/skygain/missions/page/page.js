@@ -5,9 +5,11 @@ const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
 const asked = (path) => fetch(path, { headers: token ? { Authorization: `Bearer ${token}` } : {} });
 const linked = (path) => (token ? `${path}?token=${encodeURIComponent(token)}` : path);
 const maps = new Map();
-let place = null, story = null, live = null, following = true, playing = null, drawn = null;
+let place = null, story = null, live = null, following = true, playing = null;
+let heard = { xy: [], level: [], uav: [] }, newest = 0, shown = null, scale = null, points = [];
 // how far a roof is drawn aside and up, in metres of the map for a metre of height
 const LEAN = [-0.12, 0.22];
+const MAPS_KEPT = 40;
 
 async function json(path) {
   const answer = await asked(path);
@@ -16,51 +18,80 @@ async function json(path) {
   return told;
 }
 
-function mapOf(event) {
-  if (!maps.has(event)) {
-    maps.set(event, asked(`/api/maps/${event}`).then(async (answer) => {
+function mapOf(count) {
+  if (!maps.has(count)) {
+    maps.set(count, asked(`/api/maps/${count}`).then(async (answer) => {
       if (!answer.ok) throw new Error((await answer.json()).error);
       const n = place.rows * place.cols;
       const values = new Float32Array(await answer.arrayBuffer());
       const mean = values.subarray(0, n), std = values.subarray(n);
-      return { mean, std, error: Number(answer.headers.get("X-Expected-Error")) };
+      return { count, mean, std, error: Number(answer.headers.get("X-Expected-Error")) };
     }));
-    maps.get(event).catch(() => maps.delete(event));
+    maps.get(count).catch(() => maps.delete(count));
+    for (const old of maps.keys()) {
+      if (maps.size <= MAPS_KEPT) break;
+      if (old !== 0) maps.delete(old);
+    }
   }
-  return maps.get(event);
+  return maps.get(count);
 }
 
 const view = () => document.querySelector("input[name=view]:checked").value;
 const moment = () => story.moments[Number($("moment").value)];
+const countNow = () => (following ? newest : moment().count);
 
 function range(values) {
-  const known = Array.from(values).filter(Number.isFinite).sort((a, b) => a - b);
+  const known = Float32Array.from(values.filter(Number.isFinite)).sort();
   if (!known.length) return [0, 1];
   return [known[Math.floor(known.length * 0.01)], known[Math.floor((known.length - 1) * 0.99)]];
 }
 
-// one scale for the whole mission, that of its newest map, so that colours can be compared
+// one scale for the whole mission, that of its newest map, so that colours can be compared; in
+// steps of 5 dB, so that it does not change with every reading
 async function limits() {
-  const newest = await mapOf(story.moments[story.moments.length - 1].event);
-  const first = await mapOf(0);
-  return { mean: range(newest.mean), std: [0, Math.max(range(first.std)[1] * 0.6, 1)] };
+  const [first, last] = await Promise.all([mapOf(0), mapOf(newest)]);
+  const [low, high] = range(last.mean);
+  scale = {
+    mean: [5 * Math.floor(low / 5), 5 * Math.ceil(high / 5)],
+    std: [0, Math.max(range(first.std)[1] * 0.6, 1)],
+  };
 }
 
 function coloured(values, [low, high], name) {
   const { rows, cols } = place, table = place.colours[name];
-  const image = new ImageData(cols, rows);
+  const image = new ImageData(cols, rows), data = image.data;
   for (let r = 0; r < rows; r++) {
     for (let c = 0; c < cols; c++) {
       const v = values[r * cols + c], at = ((rows - 1 - r) * cols + c) * 4;
       if (!Number.isFinite(v)) continue;
-      const k = Math.max(0, Math.min(255, Math.round((255 * (v - low)) / (high - low || 1))));
-      image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], at);
+      const k = 3 * Math.max(0, Math.min(255, Math.round((255 * (v - low)) / (high - low || 1))));
+      data[at] = table[k]; data[at + 1] = table[k + 1]; data[at + 2] = table[k + 2];
+      data[at + 3] = 255;
     }
   }
   const canvas = document.createElement("canvas");
   canvas.width = cols; canvas.height = rows;
   canvas.getContext("2d").putImageData(image, 0, 0);
   return canvas;
+}
+
+// layers that change seldom are drawn once and kept, by a word that says what they show
+const layers = new Map();
+function layer(name, word, like, paint) {
+  const kept = layers.get(name);
+  if (kept && kept.word === word) return kept;
+  const canvas = document.createElement("canvas");
+  canvas.width = like.width; canvas.height = like.height;
+  const pen = canvas.getContext("2d");
+  pen.setTransform(like.getContext("2d").getTransform());
+  const made = { word, canvas, pen, done: 0 };
+  layers.set(name, made);
+  if (paint) paint(pen);
+  return made;
+}
+
+function put(pen, { canvas }, wide, high) {
+  pen.drawImage(canvas, 0, 0, wide, high);
 }
 
 function fitted(canvas, ratio) {
@@ -106,74 +137,128 @@ function at(flight, seconds) {
   return route[route.length - 1];
 }
 
-async function draw() {
+// draws what is known now; what has to be fetched first is drawn when it is there
+let wanted = null;
+function draw() {
   if (!story) return;
-  const now = moment(), mine = {};
-  drawn = mine;
-  const [found, scale] = await Promise.all([mapOf(now.event), limits()]);
-  if (drawn !== mine) return; // a newer drawing began meanwhile
+  const count = countNow();
+  if (!shown || shown.count !== count) {
+    wanted = count;
+    Promise.all([mapOf(count), limits()]).then(([found]) => {
+      if (wanted !== count && !(following && found.count > (shown ? shown.count : -1))) return;
+      shown = found; paint();
+    }).catch((error) => { $("readout").textContent = error.message; });
+  }
+  if (shown) paint();
+}
+
+let painting = false;
+function paint() {
+  if (painting) return;
+  painting = true;
+  requestAnimationFrame(() => { painting = false; painted(); });
+}
+
+function painted() {
+  const now = moment(), map = $("map"), count = countNow();
   const style = getComputedStyle(document.documentElement);
   const colours = { roof: style.getPropertyValue("--roof"), wall: style.getPropertyValue("--wall") };
-  const [pen, wide, high] = fitted($("map"), place.height_m / place.width_m);
+  const [pen, wide, high] = fitted(map, place.height_m / place.width_m);
+  const size = `${map.width} ${map.height} ${colours.roof}`;
   const to = ([x, y]) => [(x / place.width_m) * wide, high - (y / place.height_m) * high];
   const name = view();
   if (name !== "none") {
+    const colour = name === "mean" ? "viridis" : "magma", word = `${shown.count} ${scale[name]}`;
+    const kept = layers.get(name);
+    if (!kept || kept.word !== word) {
+      layers.set(name, { word, canvas: coloured(shown[name], scale[name], colour) });
+    }
     pen.imageSmoothingEnabled = false;
-    const colour = name === "mean" ? "viridis" : "magma";
-    pen.drawImage(coloured(found[name], scale[name], colour), 0, 0, wide, high);
+    put(pen, layers.get(name), wide, high);
     showScale(scale[name], colour, name === "mean" ? story.unit : "dB");
   }
-  $("map").dataset.event = now.event;
-  $("map").dataset.view = name;
+  map.dataset.count = shown.count;
+  map.dataset.view = name;
   if ($("show-buildings").checked) {
-    const order = [...place.buildings].sort((a, b) => b.ring[0][1] - a.ring[0][1]);
-    order.forEach((one) => building(pen, one, to, colours));
+    put(pen, layer("buildings", size, map, (on) => {
+      const order = [...place.buildings].sort((a, b) => b.ring[0][1] - a.ring[0][1]);
+      order.forEach((one) => building(on, one, to, colours));
+    }), wide, high);
   }
-  pen.lineWidth = 1.5;
-  pen.setLineDash([6, 4]); pen.strokeStyle = style.getPropertyValue("--ink");
-  place.area.forEach((one) => { ring(pen, one, to); pen.stroke(); });
-  pen.setLineDash([]); pen.strokeStyle = "#d0352b"; pen.fillStyle = "rgb(208 53 43 / 18%)";
-  place.zones.forEach((one) => { ring(pen, one, to); pen.fill(); pen.stroke(); });
-  if ($("show-readings").checked) readings(pen, to, now, scale.mean, wide);
-  if ($("show-plan").checked) plan(pen, to, now);
+  put(pen, layer("edges", size, map, (on) => {
+    on.lineWidth = 1.5;
+    on.setLineDash([6, 4]); on.strokeStyle = style.getPropertyValue("--ink");
+    place.area.forEach((one) => { ring(on, one, to); on.stroke(); });
+    on.setLineDash([]); on.strokeStyle = "#d0352b"; on.fillStyle = "rgb(208 53 43 / 18%)";
+    place.zones.forEach((one) => { ring(on, one, to); on.fill(); on.stroke(); });
+  }), wide, high);
+  const readings = following ? heard.level.length : count;
+  if ($("show-readings").checked) dots(pen, to, readings, size, wide, high);
+  if ($("show-plan").checked) plan(pen, to, now, readings);
   vehicles(pen, to);
-  told(now, found);
+  told(now);
   curve();
+  document.body.dataset.drawn = readings;
+  document.body.dataset.ready = "yes";
 }
 
-function readings(pen, to, now, [low, high], wide) {
-  const { xy, level, event } = story.readings, table = place.colours.viridis;
-  const size = Math.max(1.5, (wide / place.cols) * 0.28);
-  xy.forEach((p, k) => {
-    if (event[k] > now.event) return;
-    const c = 3 * Math.max(0, Math.min(255, Math.round((255 * (level[k] - low)) / (high - low || 1))));
-    const [x, y] = to(p);
-    pen.beginPath(); pen.arc(x, y, size, 0, 7);
-    pen.fillStyle = `rgb(${table[c]} ${table[c + 1]} ${table[c + 2]})`; pen.fill();
-    pen.strokeStyle = "rgb(255 255 255 / 70%)"; pen.lineWidth = 0.6; pen.stroke();
-  });
+function dots(pen, to, count, size, wide, high) {
+  const [low, up] = scale.mean, table = place.colours.viridis;
+  const kept = layers.get("dots"), word = `${size} ${low} ${up}`;
+  if (kept && kept.done > count) layers.delete("dots"); // the slider went back
+  const dots = layer("dots", word, $("map"));
+  const r = Math.max(1.5, (wide / place.cols) * 0.28), on = dots.pen;
+  on.strokeStyle = "rgb(255 255 255 / 70%)"; on.lineWidth = 0.6;
+  for (let k = dots.done; k < count; k++) {
+    const share = (heard.level[k] - low) / (up - low || 1);
+    const c = 3 * Math.max(0, Math.min(255, Math.round(255 * share)));
+    const [x, y] = to(heard.xy[k]);
+    on.beginPath(); on.arc(x, y, r, 0, 7);
+    on.fillStyle = `rgb(${table[c]} ${table[c + 1]} ${table[c + 2]})`; on.fill(); on.stroke();
+  }
+  dots.done = count;
+  put(pen, dots, wide, high);
 }
 
-function plan(pen, to, now) {
-  const index = Number($("moment").value);
-  const shown = story.moments.slice(0, index + 1).filter((one) => one.kind === "planned").pop();
-  if (!shown) return;
-  const sortie = story.sorties.find((one) => one.number === shown.sortie);
-  if (!sortie) return;
-  const flying = now.kind === "planned";
-  for (const flight of sortie.flights) {
-    const colour = place.uav_colours[flight.uav];
-    pen.globalAlpha = flying ? 1 : 0.35;
-    for (const [look, width] of [["#10181f", 3.4], [colour, 1.8]]) {
+// the newest way of each UAV at a moment
+function waysAt(now) {
+  const found = new Map();
+  let sortie = null;
+  for (const way of story.ways) {
+    if (way.at > now.at && !(following && now === story.moments[story.moments.length - 1])) break;
+    if (sortie !== way.sortie) { found.clear(); sortie = way.sortie; }
+    found.set(way.uav, way);
+  }
+  return [...found.values()];
+}
+
+function plan(pen, to, now, readings) {
+  const planned = now.kind === "planned";
+  for (const way of waysAt(now)) {
+    pen.globalAlpha = planned || live ? 1 : 0.35;
+    for (const [look, width] of [["#10181f", 3.4], [place.uav_colours[way.uav], 1.8]]) {
       pen.strokeStyle = look; pen.lineWidth = width;
       pen.setLineDash([]);
-      ring(pen, flight.route.slice(0, flight.measuring), to, false); pen.stroke();
+      ring(pen, way.route.slice(0, way.measuring), to, false); pen.stroke();
       pen.setLineDash([2, 4]);
-      ring(pen, flight.route.slice(flight.measuring - 1), to, false); pen.stroke();
+      ring(pen, way.route.slice(way.measuring - 1), to, false); pen.stroke();
     }
     pen.setLineDash([]); pen.globalAlpha = 1;
-    if (flying && !live) marker(pen, to(at(flight, now.share * sortie.duration_s)), flight.uav);
+    if (planned && !live) marker(pen, to(at(way, now.share_s)), way.uav);
   }
+  if (!planned && !(live && following)) {
+    lastPlaces(readings).forEach((xy, uav) => marker(pen, to(xy), uav));
+  }
+}
+
+// where each UAV read last, before so many readings
+function lastPlaces(count) {
+  const found = new Map();
+  for (let k = count - 1; k >= Math.max(0, count - 3000); k--) {
+    if (heard.uav[k] >= 0 && !found.has(heard.uav[k])) found.set(heard.uav[k], heard.xy[k]);
+    if (found.size === place.pads.length) break;
+  }
+  return found;
 }
 
 function marker(pen, [x, y], uav) {
@@ -202,21 +287,34 @@ function showScale([low, high], name, unit) {
   $("high").textContent = `${high.toFixed(0)} ${unit}`;
 }
 
-function told(now, found) {
-  const texts = {
-    planned: () => `sortie ${now.sortie}, ${Math.round(100 * now.share)} % of its time`,
-  };
-  const what = texts[now.kind] ? texts[now.kind]() : now.text;
-  $("moment-text").textContent = `${what}; expected error ${found.error.toFixed(1)} dB`;
+function told(now) {
+  const what = following && live ? "now" : now.text;
+  const error = `expected error ${shown.error.toFixed(1)} dB`;
+  $("moment-text").textContent = `${what}; ${shown.count} readings on the map, ${error}`;
 }
 
-async function curve() {
-  const events = [...new Set(story.moments.map((one) => one.event))];
-  const errors = await Promise.all(events.map(async (event) => (await mapOf(event)).error));
+// the curve's errors come bit by bit; each newest map brings its own
+let curveAsked = false;
+async function askCurve() {
+  if (curveAsked) return;
+  curveAsked = true;
+  try {
+    for (let whole = false; !whole;) {
+      const found = await json("/api/curve");
+      points = found.points; whole = found.whole;
+      if (shown) paint();
+    }
+  } finally { curveAsked = false; }
+}
+
+function curve() {
+  const all = new Map([...points, [shown.count, shown.error]]);
+  const line = [...all].sort((a, b) => a[0] - b[0]);
   const [pen, wide, high] = fitted($("curve"));
   const style = getComputedStyle(document.documentElement);
-  const top = Math.max(...errors, place.stop_db || 0) * 1.1, left = 28, low = high - 16;
-  const x = (k) => left + (k / Math.max(1, events.length - 1)) * (wide - left - 10);
+  const top = Math.max(...line.map((one) => one[1]), place.stop_db || 0) * 1.1;
+  const left = 28, low = high - 18, most = Math.max(1, line[line.length - 1][0]);
+  const x = (k) => left + (k / most) * (wide - left - 14);
   const y = (v) => low - (v / top) * (low - 6);
   pen.font = "11px system-ui"; pen.fillStyle = style.getPropertyValue("--soft");
   pen.textAlign = "right"; pen.textBaseline = "middle";
@@ -232,12 +330,13 @@ async function curve() {
     pen.stroke(); pen.setLineDash([]);
   }
   pen.strokeStyle = style.getPropertyValue("--accent"); pen.lineWidth = 2;
-  ring(pen, errors.map((v, k) => [x(k), y(v)]), (p) => p, false); pen.stroke();
-  const k = events.indexOf(moment().event);
-  pen.beginPath(); pen.arc(x(k), y(errors[k]), 4, 0, 7);
+  ring(pen, line.map(([k, v]) => [x(k), y(v)]), (p) => p, false); pen.stroke();
+  pen.beginPath(); pen.arc(x(shown.count), y(shown.error), 4, 0, 7);
   pen.fillStyle = style.getPropertyValue("--accent"); pen.fill();
-  pen.textAlign = "center"; pen.fillStyle = style.getPropertyValue("--soft");
-  pen.fillText("logs taken in", (left + wide) / 2, high - 5);
+  pen.fillStyle = style.getPropertyValue("--soft");
+  pen.textAlign = "center"; pen.fillText("readings", (left + wide) / 2, high - 6);
+  pen.textAlign = "right"; pen.fillText(String(most), wide - 2, high - 6);
+  $("curve").dataset.points = line.length;
 }
 
 function listFiles() {
@@ -257,17 +356,46 @@ function listFiles() {
   }));
 }
 
-async function refresh() {
+async function readStory() {
   story = await json("/api/story");
   const slider = $("moment"), last = story.moments.length - 1;
   slider.max = last;
   if (following) slider.value = last;
+  listFiles();
+  askCurve();
+}
+
+async function readReadings() {
+  const found = await json(`/api/readings?after=${heard.level.length}`);
+  for (const key of ["xy", "level", "uav"]) for (const one of found[key]) heard[key].push(one);
+  document.body.dataset.readings = heard.level.length;
+}
+
+function head() {
+  const n = story.sorties.length;
   $("lede").textContent =
     `${place.altitude}, ${place.middle.map((v) => v.toFixed(5)).join(", ")}: ` +
-    `${story.sorties.length} sorties planned, ${story.readings.level.length} readings`;
-  document.body.dataset.readings = story.readings.level.length;
-  listFiles();
-  await draw();
+    `${n} ${n === 1 ? "sortie" : "sorties"} planned, ${heard.level.length} readings`;
+}
+
+// what the server tells of is read once at a time; meanwhile only the newest waits
+let reading = false, next = null;
+async function changed(now) {
+  next = now;
+  if (reading) return;
+  reading = true;
+  try {
+    while (next) {
+      const told = next;
+      next = null;
+      live = told.live;
+      if (!story || told.last !== story.last) await readStory();
+      if (told.count > heard.level.length) await readReadings();
+      newest = told.map;
+      head();
+      draw();
+    }
+  } finally { reading = false; }
 }
 
 async function send(files) {
@@ -291,12 +419,11 @@ function readout(event) {
   const y = (1 - (event.clientY - box.top) / box.height) * place.height_m;
   const col = Math.floor(x / place.spacing_m), row = Math.floor(y / place.spacing_m);
   if (row < 0 || col < 0 || row >= place.rows || col >= place.cols) return;
-  mapOf(moment().event).then(({ mean, std }) => {
-    const k = row * place.cols + col;
-    const value = Number.isFinite(mean[k])
-      ? `${mean[k].toFixed(1)} ± ${std[k].toFixed(1)} ${story.unit}` : "not on the map";
-    $("readout").textContent = `${x.toFixed(0)} m east, ${y.toFixed(0)} m north: ${value}`;
-  });
+  if (!shown) return;
+  const k = row * place.cols + col, mean = shown.mean[k], std = shown.std[k];
+  const value = Number.isFinite(mean)
+    ? `${mean.toFixed(1)} ± ${std.toFixed(1)} ${story.unit}` : "not on the map";
+  $("readout").textContent = `${x.toFixed(0)} m east, ${y.toFixed(0)} m north: ${value}`;
 }
 
 function play() {
@@ -314,15 +441,10 @@ async function begin() {
   place = await json("/api/place");
   document.title = `${place.name}: mission`;
   $("name").textContent = `Mission over ${place.name}`;
-  await refresh();
-  document.body.dataset.ready = "yes";
   const changes = new EventSource(linked("/api/changes"));
-  changes.onmessage = ({ data }) => {
-    const now = JSON.parse(data), before = JSON.stringify(live);
-    live = now.live;
-    if (now.last !== story.last) refresh();
-    else if (JSON.stringify(live) !== before) draw();
-  };
+  changes.onmessage = ({ data }) => changed(JSON.parse(data)).catch((error) => {
+    $("lede").textContent = error.message;
+  });
 }
 
 $("moment").addEventListener("input", () => {
