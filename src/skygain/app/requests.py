@@ -23,6 +23,7 @@ __all__ = [
     "LATEST_MAP",
     "MapRequest",
     "MethodsRequest",
+    "ReproduceRequest",
     "SurveyRequest",
     "TrainKrigingRequest",
     "TrainPolicyRequest",
@@ -34,6 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from skygain.evaluation.paper.request import ReproduceRequest
 from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
@@ -479,6 +481,7 @@ COMMANDS: dict[str, type[Request]] = {
     "mission serve": MissionServeRequest,
     "inspect": InspectRequest,
     "evaluate": EvaluateRequest,
+    "reproduce": ReproduceRequest,
     "benchmark export": BenchmarkExportRequest,
     "benchmark score": BenchmarkScoreRequest,
     "methods": MethodsRequest,

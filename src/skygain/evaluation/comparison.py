@@ -8,7 +8,7 @@ Rollouts are deterministic: neither the number of workers nor an interruption ch
 
 from __future__ import annotations
 
-__all__ = ["JOURNAL", "Comparison", "compare", "request_cases"]
+__all__ = ["JOURNAL", "Comparison", "Watch", "compare", "request_cases"]
 
 import os
 from collections.abc import Callable, Generator
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import skygain
 from skygain.evaluation.request import EvaluateRequest
-from skygain.evaluation.rollout import rollout
+from skygain.evaluation.rollout import Observer, rollout
 from skygain.ground.errors import InputError
 from skygain.ground.executor import process_pool
 from skygain.ground.files import file_digest, writable_folder
@@ -38,6 +38,8 @@ JOURNAL = "rollouts.jsonl"
 """name of the file that keeps the rollouts"""
 Progress = Callable[[int, int, str], None]
 """told (rollouts done, rollouts in all, label of the last one)"""
+Watch = Callable[["Case", MethodSpec], Observer]
+"""makes, in the process that flies it, what a rollout shows itself to at every recorded step"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +55,15 @@ class Comparison:
     """``[case]`` city of each case, for resampling"""
     window: tuple[int, int]
     """rows and columns of the maps that were surveyed"""
+    links: NDArray[np.int64]
+    """``[case]`` link of each case in the data set"""
     scores: dict[str, dict[str, NDArray[np.float64]]]
     """``scores[method label][score name][case, step]``"""
     delays: dict[str, dict[str, NDArray[np.float64]]]
     """``delays[method label][delay name][case]`` in milliseconds"""
+    by_gain: dict[str, dict[str, NDArray[np.float64]]]
+    """``by_gain[method label][name][case, bin]``, see `skygain.evaluation.metrics.by_gain`; without
+    methods whose rollouts an earlier release flew"""
 
 
 def request_cases(request: EvaluateRequest) -> tuple[ChannelDataset, list[Case]]:
@@ -85,7 +92,9 @@ def request_cases(request: EvaluateRequest) -> tuple[ChannelDataset, list[Case]]
     return dataset, cases
 
 
-def _run(request: EvaluateRequest, case: Case, method: MethodSpec) -> dict[str, Any]:
+def _run(
+    request: EvaluateRequest, case: Case, method: MethodSpec, watch: Watch | None
+) -> dict[str, Any]:
     """One rollout, in a worker process."""
     outcome = rollout(
         case,
@@ -94,12 +103,20 @@ def _run(request: EvaluateRequest, case: Case, method: MethodSpec) -> dict[str, 
         record_steps=request.record_steps,
         rules=request.rules,
         noise_db=request.noise_db,
+        observe=watch(case, method) if watch else None,
     )
     return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
 
 
-def compare(request: EvaluateRequest, progress: Progress | None = None) -> Comparison:
+def compare(
+    request: EvaluateRequest, progress: Progress | None = None, watch: Watch | None = None
+) -> Comparison:
     """Fly every method in every case, going on from ``rollouts.jsonl`` when ``out`` holds it.
+
+    Args:
+        request: what is compared.
+        progress: see `Progress`.
+        watch: sees every rollout that is flown now; it is sent to the workers.
 
     Raises:
         InputError: unknown names, unreadable data, or rollouts in ``out`` of other data, settings,
@@ -120,7 +137,7 @@ def compare(request: EvaluateRequest, progress: Progress | None = None) -> Compa
         missing = [(c, m) for c, m in pairs if (c.link, m.label) not in done]
         count = len(pairs) - len(missing)
         workers = min(request.workers or os.cpu_count() or 1, max(1, len(missing)))
-        with closing(_flown(request, missing, workers)) as flown:
+        with closing(_flown(request, missing, workers, watch)) as flown:
             for line in flown:
                 journal.append(line | {"files": files[line["method"]]})
                 done[line["case"], line["method"]] = line
@@ -131,7 +148,10 @@ def compare(request: EvaluateRequest, progress: Progress | None = None) -> Compa
 
 
 def _flown(
-    request: EvaluateRequest, missing: list[tuple[Case, MethodSpec]], workers: int
+    request: EvaluateRequest,
+    missing: list[tuple[Case, MethodSpec]],
+    workers: int,
+    watch: Watch | None,
 ) -> Generator[dict[str, Any], None, None]:
     """The rollouts of ``missing`` as they end."""
     if not missing:
@@ -141,7 +161,7 @@ def _flown(
         running: set[Future[dict[str, Any]]] = set()
         while True:
             for case, method in queue:
-                running.add(pool.submit(_run, request, case, method))
+                running.add(pool.submit(_run, request, case, method, watch))
                 if len(running) >= 2 * workers:
                     break
             if not running:
@@ -185,6 +205,7 @@ def _collected(
 ) -> Comparison:
     scores: dict[str, dict[str, NDArray[np.float64]]] = {}
     delays: dict[str, dict[str, NDArray[np.float64]]] = {}
+    by_gain: dict[str, dict[str, NDArray[np.float64]]] = {}
     for method in request.pairs:
         rows = [done[case.link, method.label] for case in cases]
         scores[method.label] = {
@@ -195,5 +216,15 @@ def _collected(
             name: np.array([r["delays"][name] for r in rows], dtype=float)
             for name in rows[0]["delays"]
         }
-    cities = np.array([case.city_index for case in cases], dtype=np.int64)
-    return Comparison(request, request.record_steps, cities, cases[0].shape, scores, delays)
+        if all("by_gain" in r for r in rows):
+            by_gain[method.label] = {
+                name: np.array([r["by_gain"][name] for r in rows], dtype=float)
+                for name in rows[0]["by_gain"]
+            }
+    cities, links = (
+        np.array([getattr(case, name) for case in cases], dtype=np.int64)
+        for name in ("city_index", "link")
+    )
+    return Comparison(
+        request, request.record_steps, cities, cases[0].shape, links, scores, delays, by_gain
+    )

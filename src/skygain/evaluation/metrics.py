@@ -7,7 +7,7 @@ equations.
 
 from __future__ import annotations
 
-__all__ = ["VARIANCE_FLOOR_DB2", "gaussian_crps", "gof", "score"]
+__all__ = ["GAIN_EDGES_DB", "VARIANCE_FLOOR_DB2", "by_gain", "gaussian_crps", "gof", "score"]
 
 import math
 
@@ -20,6 +20,9 @@ from skygain.posterior import Posterior
 VARIANCE_FLOOR_DB2 = 1e-4
 """a predicted variance below this counts as this, so that one overconfident cell cannot make a
 score infinite"""
+
+GAIN_EDGES_DB = tuple(float(edge) for edge in range(-240, -39, 10))
+"""edges of the bins of true gain; a first and a last bin hold what lies beyond"""
 
 
 def gaussian_crps(error: NDArray[np.float64], std: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -38,6 +41,23 @@ def gof(mean_ratio: float) -> float:
     """Goodness of fit: natural log of the mean of squared error over predicted variance; 0 is
     ideal, above 0 is overconfident."""
     return math.log(mean_ratio) if mean_ratio > 0 else -math.inf
+
+
+def by_gain(
+    posterior: Posterior, truth_db: NDArray[np.floating], cells: NDArray[np.bool_]
+) -> dict[str, list[float]]:
+    """Over the known ``cells[row, col]`` in each bin of true gain (`GAIN_EDGES_DB`): how many, the
+    sum of squared errors in dB², and the sum of squared error over predicted variance."""
+    cells = cells & np.isfinite(truth_db)
+    truth = truth_db[cells].astype(float)
+    square = (posterior.mean_db[cells] - truth) ** 2
+    ratio = square / np.maximum(posterior.variance_db2[cells], VARIANCE_FLOOR_DB2)
+    which = np.digitize(truth, GAIN_EDGES_DB)
+    sums = {"cells": np.ones_like(truth), "square_db2": square, "ratio": ratio}
+    return {
+        name: np.bincount(which, values, minlength=len(GAIN_EDGES_DB) + 1).tolist()
+        for name, values in sums.items()
+    }
 
 
 def score(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.evaluation.metrics import score
+from skygain.evaluation.metrics import by_gain, score
 from skygain.flight.swarm import FlightRules, Swarm
 from skygain.instruments.base import Instrument
 from skygain.predictors.base import Belief
@@ -144,7 +144,7 @@ def flown(
 
     Returns:
         ``{"scores": {name: [value per recorded step]}, "steps": [...], "delays": {...}, "measured":
-        readings taken}``
+        readings taken, "by_gain": see `skygain.evaluation.metrics.by_gain`, at the end}``
     """
     predictor = method.build_predictor()
     scenario = method.visible(scenario, predictor)
@@ -159,11 +159,13 @@ def flown(
     survey = Survey(scenario, predictor, method.build_planner(), instrument)
     result = survey.fly(swarm, rng, watch)
     names = list(recorder.frames[0].scores) if recorder.frames else []
+    visited = result.swarm.visited | result.measurements.visited(scenario.outdoor.shape)
     return {
         "steps": [f.step for f in recorder.frames],
         "scores": {name: [f.scores[name] for f in recorder.frames] for name in names},
         "delays": delays_ms(result.journal),
         "measured": len(result.measurements),
+        "by_gain": by_gain(result.posterior, truth_db, scenario.outdoor & ~visited),
         "certificates": [
             [c.certificate.value_nats, c.certificate.upper_bound_nats]
             for c in result.journal
