@@ -421,7 +421,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 def _enterable(free: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """``[n]`` whether the cells are on the map and free."""
-    inside = ((cells >= 0) & (cells < free.shape)).all(axis=1)
+    inside = np.all((cells >= 0) & (cells < np.array(free.shape)), axis=1)
     row_, col = np.where(inside[:, None], cells, 0).T
     return inside & free[row_, col]
 

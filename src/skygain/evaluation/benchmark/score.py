@@ -63,10 +63,14 @@ def _row(benchmark: Benchmark, found: Submission) -> Row:
     cities = benchmark.cases["city"]
     of_steps = [bootstrap_mean(values[:, i, 0], cities) for i in range(values.shape[1])]
     ratio, cover = (bootstrap_mean(values[:, -1, j], cities) for j in (1, 2))
-    logs = tuple(gof(v) if not np.isnan(v) else v for v in (ratio.mean, ratio.low, ratio.high))
+    mean, low, high = (
+        gof(v) if not np.isnan(v) else v for v in (ratio.mean, ratio.low, ratio.high)
+    )
     means = [(one.mean, one.low, one.high) for one in of_steps]
     return Row(
-        found.name, found.told_transmitter, (*means, logs, (cover.mean, cover.low, cover.high))
+        found.name,
+        found.told_transmitter,
+        (*means, (mean, low, high), (cover.mean, cover.low, cover.high)),
     )
 
 

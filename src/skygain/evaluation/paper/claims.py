@@ -142,7 +142,7 @@ def _gain_bins(flown: Flown) -> Iterable[Claim]:
         yield _judged(
             "The error is lower where the gain is higher",
             f"change of the RMSE of {name} per 10 dB of gain",
-            c and c.slope(c.rmse_db),
+            None if c is None else c.slope(c.rmse_db),
             cities,
             below=0.0,
         )
@@ -150,7 +150,7 @@ def _gain_bins(flown: Flown) -> Iterable[Claim]:
         yield _judged(
             "Goodness of fit is close to 0",
             f"goodness of fit of {name}, within ±{_NEAR_GOF:g}",
-            c and c.interval(c.gof_all),
+            None if c is None else c.interval(c.gof_all),
             cities,
             below=_NEAR_GOF,
             above=-_NEAR_GOF,
@@ -159,7 +159,7 @@ def _gain_bins(flown: Flown) -> Iterable[Claim]:
         yield _judged(
             "Goodness of fit is generally positive",
             f"goodness of fit of {name}",
-            c and c.interval(c.gof_all),
+            None if c is None else c.interval(c.gof_all),
             cities,
             above=0.0,
         )
@@ -167,7 +167,7 @@ def _gain_bins(flown: Flown) -> Iterable[Claim]:
         yield _judged(
             "Goodness of fit is closer to 0 where the gain is lower",
             f"change of its absolute value, {name}, per 10 dB of gain",
-            c and c.slope(np.abs(c.gof)),
+            None if c is None else c.slope(np.abs(c.gof)),
             cities,
             above=0.0,
         )
@@ -308,11 +308,17 @@ def _positive(text: str, measured: str, found: Differences | None) -> Claim:
     return _difference(text, measured, found, above=0.0)
 
 
-def _difference(text: str, measured: str, found: Differences | None, **bounds: float) -> Claim:
-    if found is None:
-        return _judged(text, f"{measured}, dB", None, 0, **bounds)
-    interval, cities = bootstrap_mean(*found), len(np.unique(found[1]))
-    return _judged(text, f"{measured}, dB", interval, cities, **bounds)
+def _difference(
+    text: str,
+    measured: str,
+    found: Differences | None,
+    *,
+    below: float | None = None,
+    above: float | None = None,
+) -> Claim:
+    interval = None if found is None else bootstrap_mean(*found)
+    cities = 0 if found is None else len(np.unique(found[1]))
+    return _judged(text, f"{measured}, dB", interval, cities, below=below, above=above)
 
 
 def _judged(

@@ -70,8 +70,8 @@ def fly(
     surveys = _surveys(dataset, request, settings["three"])
     needed: dict[str, dict[str, None]] = {}
     for of_figure in roles.values():
-        for setting, of_setting in of_figure.items():
-            needed.setdefault(setting, {}).update(dict.fromkeys(of_setting.values()))
+        for name, of_setting in of_figure.items():
+            needed.setdefault(name, {}).update(dict.fromkeys(of_setting.values()))
     comparisons = {}
     for number, (name, labels) in enumerate(needed.items(), start=1):
         setting = settings[name]
@@ -145,8 +145,8 @@ def _roles(
     found: dict[str, dict[str, dict[str, str]]] = {}
     why: dict[str, None] = {}
     own = {method.label: method.label for method in map(MethodSpec.of_label, request.methods)}
-    for label in own:
-        method_files(MethodSpec.of_label(label))  # raises what cannot be flown, before all the rest
+    for mine in own:
+        method_files(MethodSpec.of_label(mine))  # raises what cannot be flown, before all the rest
     for figure in request.names:
         found[figure] = {}
         for setting, methods in FIGURES[figure].methods.items():
@@ -157,11 +157,14 @@ def _roles(
                 label, reason = installed(labels)
                 if label is not None:
                     roles[role] = label
-                first, other = (one and one.partition(" / ")[0] for one in (labels[0], label))
-                if label is None:
-                    why[f"{first} is not flown, {where}: {reason}"] = None
-                elif reason:
-                    why[f"{other} is flown in place of {first}, {where}: {reason}"] = None
+                if reason:
+                    first = labels[0].partition(" / ")[0]
+                    fate = (
+                        f"{label.partition(' / ')[0]} is flown in place of {first}"
+                        if label
+                        else f"{first} is not flown"
+                    )
+                    why[f"{fate}, {where}: {reason}"] = None
             if "random" in methods:  # a figure that compares methods
                 roles |= own
             if roles:
