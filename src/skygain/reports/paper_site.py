@@ -95,8 +95,10 @@ def _figure(found: Reproduction, name: str, claims: Sequence[Claim], picture: Pa
         _claims(claims),
     ]
     if name == "delay":
-        apart = "; quote them from <code>--workers 1</code> on a quiet machine"
-        parts.append(f'<p class="note">Delays of processes that share the cores{apart}.</p>')
+        parts.append(
+            '<p class="note">Processes that run beside each other slow each other down: quote '
+            "delays from <code>--workers 1</code> on a quiet machine.</p>"
+        )
     for setting, roles in flown.roles.items():
         comparison, words = flown.comparisons[setting], found.settings[setting].title
         parts.append(f"<h3>{html.escape(words)}, {len(comparison.cities)} surveys</h3>")
