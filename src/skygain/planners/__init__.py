@@ -24,6 +24,7 @@ PLANNERS.register("sequential-greedy", "skygain.planners.sequential_greedy:Seque
 PLANNERS.register("greedy-variance", "skygain.planners.variance_greedy:GreedyVariancePlanner")
 PLANNERS.register("min-cost-path", "skygain.planners.min_cost_path:MinCostPathPlanner")
 PLANNERS.register("lookahead", "skygain.planners.lookahead:LookaheadPlanner")
+PLANNERS.register("roadmap", "skygain.planners.roadmap:RoadMapPlanner")
 PLANNERS.register("dqn", "skygain.planners.learned:dqn_planner")
 PLANNERS.register("imitation", "skygain.planners.learned:imitation_planner")
 PLANNERS.register("mcts", "skygain.planners.sequential_greedy:tree_search_planner")
