@@ -50,6 +50,7 @@ POLICY_RECIPES: dict[str, DqnConfig | ImitationConfig] = {
         pretraining=300,
     ),
     "dqn-rewards-only": REWARDS_ONLY,
+    "dqn-thin-plate": replace(REWARDS_ONLY, predictor="thin-plate", n_uavs=1),
     "imitation": ImitationConfig(),
 }
 """complete settings but for the paths"""
@@ -82,7 +83,8 @@ def train_policy(
     else:
         result, policy = train_imitation(config, report), SHAPE
     tensors, meta = load_checkpoint(result.checkpoint)
-    kept = {key: value for key, value in meta["config"].items() if key not in ("data", "out")}
+    ours = ("data", "out", "cluster")  # of this machine
+    kept = {key: value for key, value in meta["config"].items() if key not in ours}
     for key in ("start_from", "demonstrations"):
         if key in kept:
             kept[key] = "/".join(Path(kept[key]).parts[-2:])  # no folder of this machine
