@@ -70,6 +70,7 @@ def _changes(request: TrainRequest) -> dict[str, Any]:
     changes = {
         "max_seconds": None if request.minutes is None else 60 * request.minutes,
         "start_from": request.start_from,
+        "cluster": request.cluster,
     }
     return {name: value for name, value in changes.items() if value is not None}
 

@@ -38,6 +38,7 @@ def run_build(request: DatasetBuildRequest, progress: Progress) -> str:
             workers=request.workers,
             resume=request.resume,
             propagation=request.propagation,
+            cluster=request.cluster,
             progress=lambda done, total, _left: progress(done, total),
         )
     return describe_dataset(request.out)

@@ -39,6 +39,7 @@ from skygain.evaluation.paper.request import ReproduceRequest
 from skygain.evaluation.request import EvaluateRequest
 from skygain.ground.declared import Request, named
 from skygain.ground.errors import InputError
+from skygain.ground.executor import ClusterRequest
 from skygain.missions.requests import (
     MissionFlyRequest,
     MissionIngestRequest,
@@ -246,7 +247,7 @@ class OwnCitiesRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetBuildRequest(OwnCitiesRequest):
+class DatasetBuildRequest(OwnCitiesRequest, ClusterRequest):
     """Generate or read cities and trace their transmitters; goes on where a killed run stopped.
 
     Examples:
@@ -263,7 +264,7 @@ class DatasetBuildRequest(OwnCitiesRequest):
     out: Path
     """the data set to write, PATH.zarr.zip"""
     workers: int = 1
-    """cities traced at the same time"""
+    """cities traced at the same time on this machine"""
     resume: bool = True
     """go on from the cities already traced"""
     propagation: str | None = named(None, names="skygain.propagation:PROPAGATION")
@@ -336,7 +337,7 @@ class TrainKrigingRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainRequest(Request):
+class TrainRequest(ClusterRequest):
     """Run"""
 
     recipe: str
@@ -351,8 +352,8 @@ class TrainRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainPolicyRequest(TrainRequest):
-    """Train a policy (imitation, dqn after it, dqn-rewards-only, paper-dqn); goes on where it
-    stopped.
+    """Train a policy (imitation, dqn after it, dqn-rewards-only, dqn-thin-plate, paper-dqn); goes
+    on where it stopped.
 
     Examples:
         skygain train policy --recipe imitation --data cities.zarr.zip

@@ -18,8 +18,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,7 @@ from skygain.datasets.presets import DATA_VERSION, BuildConfig, preset_config
 from skygain.datasets.store import ChannelDataset
 from skygain.datasets.writer import write_dataset
 from skygain.ground.errors import InputError
-from skygain.ground.executor import process_pool
+from skygain.ground.executor import units
 from skygain.ground.files import atomic_write, writable_folder
 
 Progress = Callable[[int, int, float | None], None]
@@ -54,6 +53,7 @@ def build_dataset(
     workers: int = 1,
     resume: bool = True,
     propagation: str | None = None,
+    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Generate or read cities, compute the truth of their transmitters, and write the data set.
@@ -65,6 +65,8 @@ def build_dataset(
         resume: go on from the cities that an earlier, interrupted call finished; else throw them
             away, and replace PATH.
         propagation: name of the propagation model; the configuration's when left out.
+        cluster: a Dask cluster that computes instead of ``workers``, see `ClusterRequest`; its
+            machines must see the folder of PATH.
         progress: told after each city.
 
     Returns:
@@ -96,7 +98,7 @@ def build_dataset(
             shutil.rmtree(parts)
             return path
         _note_settings(parts, {**settings, "source": _source_digest()})
-        _trace_all(config, parts, workers, progress)
+        _trace_all(config, parts, workers, cluster, progress)
         shards = _Shards([_shard(parts, seed) for seed, _ in config.city_seeds])
         first = ChannelDataset.open(shards.paths[0])
         attributes = {**first.attributes, **_attributes(config, settings)}
@@ -113,7 +115,11 @@ def build_dataset(
 
 
 def _trace_all(
-    config: BuildConfig | OwnCities, parts: Path, workers: int, progress: Progress | None
+    config: BuildConfig | OwnCities,
+    parts: Path,
+    workers: int,
+    cluster: str | None,
+    progress: Progress | None,
 ) -> None:
     """Make the shards that are missing."""
     total = len(config.city_seeds)
@@ -125,19 +131,21 @@ def _trace_all(
         progress(done, total, None)
     if not missing:
         return
-    with process_pool(min(workers, len(missing))) as pool:
-        tasks = [
-            pool.submit(_trace_city, config, seed, split, _shard(parts, seed))
-            for seed, split in missing
-        ]
-        for count, task in enumerate(as_completed(tasks), start=1):
-            task.result()
+    jobs = [(config, seed, split, _shard(parts, seed)) for seed, split in missing]
+    workers = min(workers, len(missing))
+    with closing(units(_trace_city, jobs, workers=workers, cluster=cluster)) as traced:
+        for count, shard in enumerate(traced, start=1):
+            if not shard.exists():
+                raise InputError(
+                    f"a worker wrote {shard}, which is not seen here; the machines of a cluster "
+                    "need a shared file system"
+                )
             if progress:
                 left = (time.monotonic() - began) / count * (len(missing) - count)
                 progress(done + count, total, left)
 
 
-def _trace_city(config: BuildConfig | OwnCities, seed: int, split: str, path: Path) -> None:
+def _trace_city(config: BuildConfig | OwnCities, seed: int, split: str, path: Path) -> Path:
     """Make one shard: get the city, choose its transmitters, compute their maps. Runs in a
     worker."""
     city = config.drawn(seed)
@@ -153,7 +161,7 @@ def _trace_city(config: BuildConfig | OwnCities, seed: int, split: str, path: Pa
         ray_traced=ray_traced,
     )
     attributes = {"frequency_hz": config.frequency_hz, **facts}
-    write_dataset(
+    return write_dataset(
         path, [record], grid=city.grid, altitudes_m=config.altitudes_m, attributes=attributes
     )
 

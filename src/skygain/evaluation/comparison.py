@@ -1,9 +1,10 @@
 """Many surveys, several methods, one paired table.
 
-Each (case, method) pair is an independent rollout, flown in a worker process. Its result is a line
-of the journal ``rollouts.jsonl`` as soon as it is there, and a run that was killed goes on where it
-stopped. The journal belongs to the content of the data, the settings, the release and the weights.
-Rollouts are deterministic: neither the number of workers nor an interruption changes the table.
+Each (case, method) pair is an independent rollout, flown in a worker process or on a cluster. Its
+result is a line of the journal ``rollouts.jsonl`` as soon as it is there, and a run that was killed
+goes on where it stopped. The journal belongs to the content of the data, the settings, the release
+and the weights. Rollouts are deterministic: neither the number of workers nor an interruption
+changes the table.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from __future__ import annotations
 __all__ = ["JOURNAL", "Comparison", "Watch", "compare", "request_cases"]
 
 import os
-from collections.abc import Callable, Generator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +25,7 @@ import skygain
 from skygain.evaluation.request import EvaluateRequest
 from skygain.evaluation.rollout import Observer, rollout
 from skygain.ground.errors import InputError
-from skygain.ground.executor import process_pool
+from skygain.ground.executor import units
 from skygain.ground.files import file_digest, writable_folder
 from skygain.ground.journal import Journal
 from skygain.survey.methods import MethodSpec
@@ -105,7 +106,23 @@ def _run(
         noise_db=request.noise_db,
         observe=watch(case, method) if watch else None,
     )
-    return {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
+    told = {"case": case.link, "city": case.city_index, "method": method.label, **outcome}
+    return told | {"files": _files(method)}
+
+
+_files = cache(method_files)
+
+
+def _demand_same_files(line: dict[str, Any], files: dict[str, str]) -> None:
+    """Another machine may hold other weights."""
+    if line["files"] == files:
+        return
+    names = {*files, *line["files"]}
+    changed = sorted(n for n in names if files.get(n) != line["files"].get(n))
+    raise InputError(
+        f"a worker flew {line['method']!r} with other files than lie here ({', '.join(changed)}); "
+        "give every machine the same"
+    )
 
 
 def compare(
@@ -137,38 +154,16 @@ def compare(
         missing = [(c, m) for c, m in pairs if (c.link, m.label) not in done]
         count = len(pairs) - len(missing)
         workers = min(request.workers or os.cpu_count() or 1, max(1, len(missing)))
-        with closing(_flown(request, missing, workers, watch)) as flown:
-            for line in flown:
-                journal.append(line | {"files": files[line["method"]]})
+        jobs = [(request, case, method, watch) for case, method in missing]
+        with closing(units(_run, jobs, workers=workers, cluster=request.cluster)) as flown:
+            for line in flown if jobs else ():
+                _demand_same_files(line, files[line["method"]])
+                journal.append(line)
                 done[line["case"], line["method"]] = line
                 count += 1
                 if progress:
                     progress(count, len(pairs), line["method"])
     return _collected(request, cases, done)
-
-
-def _flown(
-    request: EvaluateRequest,
-    missing: list[tuple[Case, MethodSpec]],
-    workers: int,
-    watch: Watch | None,
-) -> Generator[dict[str, Any], None, None]:
-    """The rollouts of ``missing`` as they end."""
-    if not missing:
-        return
-    with process_pool(workers) as pool:
-        queue = iter(missing)
-        running: set[Future[dict[str, Any]]] = set()
-        while True:
-            for case, method in queue:
-                running.add(pool.submit(_run, request, case, method, watch))
-                if len(running) >= 2 * workers:
-                    break
-            if not running:
-                return
-            finished, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
 
 
 def _flown_before(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from skygain.ground.declared import named
 from skygain.ground.errors import InputError
+from skygain.ground.executor import ClusterRequest
 from skygain.survey.requests import FlightRequest
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ _OF_THE_RUN = ("predictors", "planners", "methods", "max_surveys", "data")
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateRequest(FlightRequest):
+class EvaluateRequest(FlightRequest, ClusterRequest):
     """Compare methods over many surveys, in pairs, with intervals; prints the table.
 
     Examples:
@@ -48,7 +49,7 @@ class EvaluateRequest(FlightRequest):
     record_every: int = 25
     """score every this many steps, and at the end"""
     workers: int | None = named(None, stored=False)
-    """processes; one per core when left out"""
+    """processes of this machine; one per core when left out"""
     out: Path = named(Path("surveys/evaluation"), stored=False)
     """folder for rollouts, tables and the figure; goes on with what is there"""
 

@@ -82,6 +82,8 @@ class JudgeConfig:
     """folder of the flown surveys; by default beside the runs"""
     workers: int = 1
     """processes that fly"""
+    cluster: str = ""
+    """a Dask cluster that flies instead"""
     seed: int = 0
     """of weights and order"""
     max_seconds: float = math.inf
@@ -232,6 +234,7 @@ def _flown(config: JudgeConfig, split: str, report: Report) -> list[_Sample]:
         ],
         pool=config.pool,
         workers=config.workers,
+        cluster=config.cluster,
         report=report,
     )
     return [sample for file in files for sample in _read(file)]

@@ -9,8 +9,8 @@ from __future__ import annotations
 __all__ = ["Flight", "flown_cities"]
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import as_completed
+from collections.abc import Callable, Generator, Iterable
+from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from skygain.datasets.links import Links, Paths, origin_of, read_links, several_paths
 from skygain.ground.errors import InputError
-from skygain.ground.executor import process_pool
+from skygain.ground.executor import units
 from skygain.networks.weights import runs_folder, weight_file
 from skygain.training.run import Report
 
@@ -39,6 +39,7 @@ def flown_cities(
     stream: Callable[[Path, int], list[int]],
     pool: str | Path = "",
     workers: int = 1,
+    cluster: str = "",
     report: Report = lambda record: None,
 ) -> list[Path]:
     """The files of all cities of ``split``, flown as far as that has not been done yet.
@@ -53,6 +54,7 @@ def flown_cities(
         stream: seed of a city, from the data set's path and the city's number.
         pool: folder of the pools instead of the one beside the runs.
         workers: processes that fly.
+        cluster: a Dask cluster that flies instead, if any.
         report: hears of every city.
 
     Raises:
@@ -77,8 +79,9 @@ def flown_cities(
             for city, file in enumerate(here)
             if not file.exists()
         ]
-        for done, _ in enumerate(_all(jobs, workers), 1):
-            report({"pool": path.name, "split": split, "city": done, "of": len(jobs)})
+        with closing(_all(jobs, workers, cluster)) as flown:
+            for done, _ in enumerate(flown, 1):
+                report({"pool": path.name, "split": split, "city": done, "of": len(jobs)})
         files += here
     _held.cache_clear()
     if not files:
@@ -90,16 +93,13 @@ def flown_cities(
     return files
 
 
-def _all(jobs: list[tuple], workers: int) -> Iterator[None]:
-    if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            _fly(*job)
-            yield
+def _all(jobs: list[tuple], workers: int, cluster: str) -> Generator[None, None, None]:
+    if jobs and (cluster or (workers > 1 and len(jobs) > 1)):
+        yield from units(_fly, jobs, workers=workers, cluster=cluster)
         return
-    with process_pool(workers) as processes:
-        for done in as_completed([processes.submit(_fly, *job) for job in jobs]):
-            done.result()
-            yield
+    for job in jobs:
+        _fly(*job)
+        yield
 
 
 def _fly(path: Path, split: str, city: int, fly: Flight, seed: list[int], file: Path) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 __all__ = ["ImitationConfig", "expert_loss", "train_imitation"]
 
 from collections.abc import Callable
-from concurrent.futures import as_completed
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from skygain.environments.worlds import LinkWorlds
 from skygain.grid import SYMMETRIES
-from skygain.ground.executor import process_pool
+from skygain.ground.executor import units
 from skygain.networks.policies.inputs import turned_moves
 from skygain.networks.policies.network import policy_network
 from skygain.networks.policies.planes import action_masks
@@ -77,6 +77,8 @@ class ImitationConfig:
     """decoupled weight decay"""
     workers: int = 2
     """processes that fly"""
+    cluster: str = ""
+    """a Dask cluster that flies instead"""
     seed: int = 0
     """of everything"""
     max_seconds: float = float("inf")
@@ -196,16 +198,15 @@ def _fly_round(config: ImitationConfig, run: Run) -> bool:
         for k in range(count)
         if not (path := folder / f"{round_}-{k:05d}.npz").exists()
     ]
-    if config.workers <= 1:
+    if config.workers <= 1 and not config.cluster:
         for job in jobs:
             if run.over:
                 return False
             _fly_one(*job)
         return True
     done = count - len(jobs)
-    with process_pool(config.workers) as pool:
-        for future in as_completed([pool.submit(_fly_one, *job) for job in jobs]):
-            future.result()
+    with closing(units(_fly_one, jobs, workers=config.workers, cluster=config.cluster)) as flown:
+        for _ in flown if jobs else ():
             done += 1
             if done % 10 == 0 or done == count:
                 run.record(round=round_, flown=done, surveys=count)

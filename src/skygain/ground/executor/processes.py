@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["process_pool"]
+__all__ = ["ONE_THREAD", "process_pool"]
 
 import multiprocessing
 import os
@@ -15,7 +15,10 @@ from contextlib import contextmanager
 
 from skygain.ground.errors import InputError
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+"""variables of the environment under which libraries compute on one thread"""
 
 
 @contextmanager
@@ -30,8 +33,8 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     Raises:
         InputError: something else ended a worker.
     """
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin
