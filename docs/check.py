@@ -181,7 +181,7 @@ def runnable(page: Path) -> list[list[str]]:
                 # a mission needs a crew, a score a participant; figures and presets take long
                 long = words[:3] == ["dataset", "build", "--preset"] or BUILT in words
                 alone = words[0] in ("mission", "reproduce") or words[:2] == ["benchmark", "score"]
-                if not (long or alone):
+                if not (long or alone or "--cluster" in words):
                     found.append(words)
     return found
 
