@@ -6,12 +6,13 @@ shrinks by it, and a leg is legal when the whole of it lies in what is left.
 
 from __future__ import annotations
 
-__all__ = ["Airspace", "Ways", "obstacles", "reachable", "way_between"]
+__all__ = ["Airspace", "Ways", "obstacles", "reachable", "straightened", "way_between"]
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,10 @@ from skygain.ground.errors import require
 FOLLOWING_M = 1.0
 """a leg over sloping ground stays this near to the altitude asked for"""
 _SEGMENTS = 8
+_SAMPLE_CELLS = 0.1
+"""a vehicle reads every tenth of a cell"""
+_LONGEST = 80
+"""points that one leg replaces at most"""
 _ROUNDING_M = 0.005
 """what coordinates lose in the vehicles' files"""
 
@@ -118,6 +123,50 @@ class Airspace:
         legs = shapely.linestrings(np.stack([start_m, end_m], axis=1))
         return np.asarray(shapely.covers(self.free, legs))
 
+    def clear_corners(self, points_m: NDArray[np.float64], room_m: float) -> NDArray[np.bool_]:
+        """``[n]`` whether each corner of a clear polyline may be cut by up to ``room_m``, or half
+        of its shorter leg; true for both ends."""
+        shapely = require("shapely", "geo")
+        points = np.asarray(points_m, dtype=float)
+        clear = np.ones(len(points), dtype=bool)
+        if len(points) < 3:
+            return clear
+        step = np.diff(points, axis=0)
+        length = np.hypot(*step.T)
+        unit = step / np.maximum(length, 1e-9)[:, None]
+        room = np.minimum(room_m, np.minimum(length[:-1], length[1:]) / 2)[:, None]
+        corner = points[1:-1]
+        rings = np.stack([corner - room * unit[:-1], corner, corner + room * unit[1:]], axis=1)
+        # what is flown lies between the legs and the chord, and both legs are clear
+        clear[1:-1] = shapely.covers(self.free, shapely.convex_hull(shapely.linestrings(rings)))
+        return clear
+
+    def cells_along(self, points_m: NDArray[np.float64]) -> NDArray[np.int64] | None:
+        """``[k, (row, col)]`` cells under the polyline ``points_m[n, (x, y)]``, each a neighbour of
+        the one before; ``None`` where it leaves the flyable cells."""
+        cells = _under(self.grid, points_m)
+        flyable = self.flyable
+        if not (self.grid.contains(cells).all() and flyable[cells[:, 0], cells[:, 1]].all()):
+            return None
+        askew = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) == 2)
+        between = np.stack([cells[askew, 0], cells[askew + 1, 1]], axis=1)
+        other = np.stack([cells[askew + 1, 0], cells[askew, 1]], axis=1)
+        blocked = ~flyable[between[:, 0], between[:, 1]]
+        between[blocked] = other[blocked]
+        if not flyable[between[:, 0], between[:, 1]].all():
+            return None
+        return np.insert(cells, askew + 1, between, axis=0)
+
+    def cells_read(self, points_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """``[k, (row, col)]`` flyable cells that a vehicle reads on its way along a clear polyline,
+        in their order."""
+        found = self.cells_along(points_m)
+        if found is None:
+            found = _under(self.grid, points_m)
+            found = found[self.grid.contains(found)]
+            found = found[self.flyable[found[:, 0], found[:, 1]]]
+        return found
+
     @cached_property
     def flyable(self) -> NDArray[np.bool_]:
         """``[row, col]`` cells whose centre is clear, and from which every move to a neighbour that
@@ -146,6 +195,52 @@ class Airspace:
             inside[a if margin[a] <= margin[b] else b] = False
         inside.flags.writeable = False
         return inside
+
+
+def _under(grid: Grid, points_m: NDArray[np.float64]) -> NDArray[np.int64]:
+    """``[k, (row, col)]`` cells that a vehicle reads on its way along a polyline, in their order."""
+    points = (np.asarray(points_m, dtype=float) - np.asarray(grid.origin_m)) / grid.spacing_m
+    parts = [points[:1]]
+    for start, end in pairwise(points):
+        n = max(1, math.ceil(math.dist(start, end) / _SAMPLE_CELLS))
+        parts.append(start + np.linspace(0.0, 1.0, n + 1)[1:, None] * (end - start))
+    cells = np.rint(np.concatenate(parts)[:, ::-1]).astype(np.int64)
+    return cells[np.r_[True, (np.diff(cells, axis=0) != 0).any(axis=1)]]
+
+
+def straightened(
+    space: Airspace, points_m: NDArray[np.float64], tolerance_m: float
+) -> NDArray[np.float64]:
+    """The polyline ``points_m[n, (x, y)]`` with stairs and bends left out that lie within
+    ``tolerance_m`` of a clear leg over flyable cells."""
+    points = np.asarray(points_m, dtype=float)
+    kept, at = [0], 0
+    while at < len(points) - 1:
+        reach = [at + 1]
+        for ahead in range(at + 2, min(len(points), at + _LONGEST)):
+            if _strays(points[at : ahead + 1]) > tolerance_m:
+                break
+            reach.append(ahead)
+        for ahead in reversed(reach):
+            leg = points[[at, ahead]]
+            if ahead == at + 1 or (space.clear(leg) and space.cells_along(leg) is not None):
+                break
+        at = ahead
+        kept.append(at)
+    return points[kept]
+
+
+def _strays(points: NDArray[np.float64]) -> float:
+    """How far a polyline lies off the leg between its ends; infinite if it goes back."""
+    leg = points[-1] - points[0]
+    length = float(np.hypot(*leg))
+    if length < 1e-9:
+        return float("inf")
+    along = (points - points[0]) @ (leg / length)
+    if (np.diff(along) < -1e-6).any():
+        return float("inf")
+    off = (points - points[0]) @ np.array([-leg[1], leg[0]]) / length
+    return float(np.abs(off).max())
 
 
 def reachable(flyable: NDArray[np.bool_], cell: NDArray[np.int64]) -> NDArray[np.bool_]:

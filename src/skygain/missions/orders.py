@@ -12,7 +12,6 @@ import numpy as np
 from skygain.ground.errors import require
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, Sortie
-from skygain.missions.timing import runs
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,6 @@ def orders_for(site: Site, sortie: Sortie, flight: Flight) -> Orders:
     """The orders for one flight of a sortie."""
     latlon = np.round(site.latlon(flight.route_m[:, :2]), 8)
     moments = flight.timeline.reached_s
-    stops = {last for _, last in runs(flight.route_m)}
     points = tuple(
         Point(
             float(lat),
@@ -76,9 +74,11 @@ def orders_for(site: Site, sortie: Sortie, flight: Flight) -> Orders:
             round(float(h), 2),
             float(t),
             k >= flight.measuring,
-            k in stops,
+            bool(stop),
         )
-        for k, ((lat, lon), h, t) in enumerate(zip(latlon, flight.heights_m, moments, strict=True))
+        for k, ((lat, lon), h, t, stop) in enumerate(
+            zip(latlon, flight.heights_m, moments, flight.stops, strict=True)
+        )
     )
     lat, lon = (float(v) for v in np.round(site.latlon(np.array(flight.pad_m[:2])), 8))
     highest = site.highest_m + site.request.clearance_m - flight.pad_m[2]

@@ -1,4 +1,8 @@
-"""The next sortie: where the planner wants readings, within what batteries and rules allow."""
+"""The next sortie: where the planner wants readings, within what batteries and rules allow.
+
+Sequential greedy plans closed tours of straight legs (`skygain.missions.tours`); other planners
+choose cells one after another, and their stairs are straightened.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +19,25 @@ from skygain.flight.airspace import followed
 from skygain.flight.swarm import FlightRules, Swarm
 from skygain.flight.ways import steps_between
 from skygain.ground.errors import InputError
-from skygain.measurements import Measurements
+from skygain.missions.clearance import straightened
 from skygain.missions.imagined import ahead_of, with_expected
 from skygain.missions.site import Site
-from skygain.missions.sortie import Flight, Sortie, flight_along
-from skygain.missions.timing import first_conflict
+from skygain.missions.sortie import Flight, Sortie, corners, flight_along
+from skygain.missions.timing import clear_delays, way_seconds
+from skygain.missions.tours import Start, plan_tours
 from skygain.planners.base import Planner
+from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
 
 _COMMITTED = 0.75
 """share of a plan that is flown before the next, since nothing is learnt in between"""
 _SHORTEST_REFLY = 4
-_DELAYS_S = (0.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 240.0)
-"""stagger of take-offs, tried in this order"""
-_CUTS = 6
-"""so often a flight is cut short before it waits for the others to land"""
+_STAIRS = 0.75
+"""cells that a leg may lie off a run that is flown again"""
+_STAGGER_S = 5.0
+"""take-offs are staggered by multiples of this"""
 
 Told = Callable[[int, int], None]
-Read = Callable[[NDArray[np.int64]], Measurements]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -45,7 +50,6 @@ def plan_sortie(
     number: int = 1,
     uavs: Sequence[int] | None = None,
     leftover: Sequence[NDArray[np.int64]] = (),
-    read: Read | None = None,
     told: Told = lambda done, total: None,
 ) -> Sortie:
     """The flights that teach most, each within its battery and clear of everything and everyone.
@@ -53,14 +57,12 @@ def plan_sortie(
     Args:
         site: where.
         belief: what is known so far.
-        planner: chooses the cells.
+        planner: chooses what is read.
         rng: the planner's randomness.
         number: of the sortie.
         uavs: numbers of those that fly; all when left out.
         leftover: runs of cells ``[k, (row, col)]`` that were planned before and not flown; they are
             flown first.
-        read: takes the readings at cells as they are flown, where the flight is simulated and its
-            vehicles are planned anew with them; otherwise what is expected is taken to be read.
         told: hears how many steps of how many are planned.
 
     Raises:
@@ -70,16 +72,23 @@ def plan_sortie(
     if not chosen:
         raise InputError("every UAV stays on the ground; leave one out of `without`")
     check_battery(site, chosen)
-    paths = _paths(site, belief, planner, rng, chosen, leftover, read, told)
     belief = ahead_of(belief)
+    if isinstance(planner, SequentialGreedyPlanner) and planner.objective == "variance":
+        found = _toured(site, belief, planner, chosen, leftover, told)
+    else:
+        paths = _paths(site, belief, planner, rng, chosen, leftover, told)
+        found = [
+            [flight] if (flight := _longest(site, uav, path)) is not None else []
+            for uav, path in zip(chosen, paths, strict=True)
+        ]
     before_db = expected_error(site, belief)
-    flights, notes = _fitted(site, chosen, paths)
+    flights, notes = _staggered(site, chosen, found)
     if not flights:
         raise InputError(
             "no UAV can measure anything and come back; give a larger `battery_min`, a smaller "
             "`reserve_percent` or another `home`"
         )
-    planned = np.unique(np.concatenate([f.cells for f in flights]), axis=0)
+    planned = np.unique(np.concatenate([f.read_cells for f in flights]), axis=0)
     after_db = expected_error(site, with_expected(belief, planned))
     cells = {tuple(cell) for cell in planned.tolist()}
     refly = sum(tuple(c) in cells for run in leftover for c in run.tolist())
@@ -105,6 +114,47 @@ def check_battery(site: Site, uavs: Sequence[int]) -> None:
             )
 
 
+def _toured(
+    site: Site,
+    belief: Belief,
+    planner: SequentialGreedyPlanner,
+    uavs: Sequence[int],
+    leftover: Sequence[NDArray[np.int64]],
+    told: Told,
+) -> list[list[Flight]]:
+    """For each UAV its tour, and the same the other way round where it may be flown so."""
+    starts = []
+    for uav, run in zip(uavs, _assigned(site, uavs, leftover), strict=True):
+        left_s = site.request.usable_s - _vertical_s(site, uav)
+        starts.append(Start(uav, _first_legs(site, uav, run, left_s), left_s))
+    return plan_tours(site, belief, starts, planner.noise_db2, planner.weighted, told)
+
+
+def _vertical_s(site: Site, uav: int) -> float:
+    """Seconds of climb and landing."""
+    hover = flight_along(site, uav, site.pads[uav].cell[None], site.ways_home[uav])
+    return hover.air_s - way_seconds(hover.route_m, hover.speed_mps, hover.stops)
+
+
+def _first_legs(
+    site: Site, uav: int, run: NDArray[np.int64], left_s: float
+) -> NDArray[np.float64]:
+    """``[n, (x, y)]`` from the pad along as much of ``run`` as leaves time to come home; the pad
+    alone without a run."""
+    pad = site.pads[uav].xy_m[None]
+    cells = run
+    while len(cells) >= _SHORTEST_REFLY:
+        there = site.ways_home[uav].way(cells[0])[::-1]
+        along = _route_to(site, cells[0], cells)
+        line = corners(np.vstack([there, site.grid.xy_m(along)]))
+        line = corners(straightened(site.space, line, _STAIRS * site.grid.spacing_m))
+        back = site.ways_home[uav].way(along[-1])
+        if way_seconds(np.vstack([line, back[1:]]), site.request.speed_mps) <= left_s:
+            return line
+        cells = cells[: int(0.8 * len(cells))]
+    return pad
+
+
 def _paths(
     site: Site,
     belief: Belief,
@@ -112,7 +162,6 @@ def _paths(
     rng: np.random.Generator,
     uavs: Sequence[int],
     leftover: Sequence[NDArray[np.int64]],
-    read: Read | None,
     told: Told,
 ) -> NDArray[np.int64]:
     """``[uav, step, (row, col)]`` cells the planner would visit, longer than a battery lasts."""
@@ -126,16 +175,12 @@ def _paths(
     rules = FlightRules(min_distance_m=apart)
     swarm = Swarm.deployed(site.scenario, start, steps, rules)
 
-    def after(belief: Belief, cells: NDArray[np.int64]) -> Belief:
-        cells = cells.reshape(-1, 2)
-        return with_expected(belief, cells) if read is None else belief.updated(read(cells))
-
-    belief = after(belief if read else ahead_of(belief), start)
+    belief = with_expected(belief, start)
     ahead = _assigned(site, uavs, leftover)
     alive = np.ones(len(uavs), dtype=bool)
     while alive.any() and swarm.flying.any():
         plan = planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
-        commit = max(plan.commit_steps, 0 if read else int(_COMMITTED * plan.n_steps))
+        commit = max(plan.commit_steps, int(_COMMITTED * plan.n_steps))
         paths = plan.paths
         if any(len(run) for run in ahead):
             routes = [
@@ -148,7 +193,7 @@ def _paths(
             swarm = swarm.advanced(cells)
         flown = paths[:, 1 : commit + 1]
         ahead = [_without(run, flown[i]) for i, run in enumerate(ahead)]
-        belief = after(belief, flown)
+        belief = with_expected(belief, flown)
         for i, uav in enumerate(uavs):
             if alive[i]:
                 alive[i] = _seconds(site, uav, swarm.history[i]) <= request.usable_s
@@ -204,27 +249,10 @@ def _without(run: NDArray[np.int64], flown: NDArray[np.int64]) -> NDArray[np.int
     )
 
 
-def _fitted(
-    site: Site, uavs: Sequence[int], paths: NDArray[np.int64]
-) -> tuple[list[Flight], list[str]]:
-    """The flights cut to the battery, one after another clear of those before."""
-    flights: list[Flight] = []
-    notes: list[str] = []
-    for uav, path in zip(uavs, paths, strict=True):
-        flight = _longest(site, uav, path, len(path))
-        if flight is None:
-            notes.append(f"UAV {uav} stays on the ground: its battery is too small")
-            continue
-        flight, note = _apart(site, flight, flights)
-        flights.append(flight)
-        notes += note
-    return flights, notes
-
-
-def _longest(site: Site, uav: int, path: NDArray[np.int64], most: int) -> Flight | None:
-    """The longest beginning of ``path``, of at most ``most`` cells, that the battery allows."""
+def _longest(site: Site, uav: int, path: NDArray[np.int64]) -> Flight | None:
+    """The longest beginning of ``path`` that the battery allows."""
     ways, usable = site.ways_home[uav], site.request.usable_s
-    low, high = 0, min(most, len(path))
+    low, high = 0, len(path)
     best: Flight | None = None
     while low < high:
         middle = (low + high + 1) // 2
@@ -236,39 +264,34 @@ def _longest(site: Site, uav: int, path: NDArray[np.int64], most: int) -> Flight
     return best
 
 
-def _apart(site: Site, flight: Flight, others: Sequence[Flight]) -> tuple[Flight, list[str]]:
-    """The flight with a delay, and cut short where need be, so that it keeps the separation."""
+def _staggered(
+    site: Site, uavs: Sequence[int], found: Sequence[Sequence[Flight]]
+) -> tuple[list[Flight], list[str]]:
+    """One of each UAV's flights, with the smallest delays that keep them apart."""
+    flights: list[Flight] = []
+    notes: list[str] = []
+    for uav, options in zip(uavs, found, strict=True):
+        if not options:
+            notes.append(f"UAV {uav} stays on the ground: its battery is too small")
+            continue
+        last = max((f.timeline.landed_s for f in flights), default=0.0)
+        delays = np.arange(0.0, last + 4 * _STAGGER_S, _STAGGER_S)
+        clear = np.array([_clear(site, one, flights, delays) for one in options])
+        first = np.where(clear.any(axis=1), clear.argmax(axis=1), len(delays) - 1)
+        best = int(first.argmin())
+        delay = float(delays[first[best]])
+        flights.append(replace(options[best], delay_s=delay))
+        if delay > last:
+            notes.append(f"UAV {uav} takes off after the others have landed, to keep its distance")
+    return flights, notes
+
+
+def _clear(
+    site: Site, flight: Flight, others: Sequence[Flight], delays: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """``[delay]`` whether the flight keeps its distance from others when it takes off so late."""
     speed, apart = site.request.speed_mps, site.request.separation_m
-    cells = flight.cells
-
-    def conflict(one: Flight) -> float | None:
-        found = [first_conflict(one.timeline, o.timeline, speed, apart) for o in others]
-        moments = [moment for moment in found if moment is not None]
-        return min(moments) if moments else None
-
-    for cut in range(_CUTS):
-        best: tuple[float, Flight] | None = None
-        for delay in _DELAYS_S:
-            tried = replace(flight, delay_s=delay)
-            moment = conflict(tried)
-            if moment is None:
-                note = []
-                if cut:
-                    note = [
-                        f"UAV {flight.uav} turns home after {len(flight.cells)} of {len(cells)} "
-                        "cells, to keep its distance from the others"
-                    ]
-                return tried, note
-            if best is None or moment - delay > best[0]:
-                best = (moment - delay, tried)
-        assert best is not None
-        reached = best[1].timeline.reached_s[: flight.measuring] - best[1].delay_s
-        share = float((reached < best[0] - 10.0).mean())
-        most = int(len(flight.cells) * min(share, 0.9))
-        if most < len(cells) // 2:
-            break
-        flight = flight_along(site, flight.uav, flight.cells[:most], site.ways_home[flight.uav])
-    whole = flight_along(site, flight.uav, cells, site.ways_home[flight.uav])
-    wait = max(o.timeline.landed_s for o in others) + 10.0
-    told = f"UAV {flight.uav} takes off after the others have landed, to keep its distance"
-    return replace(whole, delay_s=float(np.ceil(wait))), [told]
+    clear = np.ones(len(delays), dtype=bool)
+    for other in others:
+        clear &= clear_delays(flight.timeline, other.timeline, speed, apart, delays)
+    return clear

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-__all__ = ["Flight", "Sortie", "corners", "flight_along"]
+__all__ = ["Flight", "Sortie", "corners", "flight_along", "flight_over"]
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.missions.clearance import FOLLOWING_M, Ways
+from skygain.missions.clearance import FOLLOWING_M, Ways, straightened
 from skygain.missions.site import Site
-from skygain.missions.timing import Timeline, timeline
+from skygain.missions.timing import (
+    CLIMB_MPS,
+    DESCENT_MPS,
+    ROUNDING_M,
+    Timeline,
+    sharp_corners,
+    timeline,
+    way_seconds,
+)
+
+_STAIRS = 0.75
+"""stairs within so many cells of a straight leg are flown as the leg"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +35,8 @@ class Flight:
     uav: int
     """its number, from 0"""
     cells: NDArray[np.int64]
-    """``[k, (row, col)]`` cells to be measured, in order; the first is above the pad"""
+    """``[k, (row, col)]`` cells to be measured, in order, those under the legs; each is a neighbour
+    of the one before"""
     route_m: NDArray[np.float64]
     """``[point, (x, y, z)]`` legs: above the pad, along the cells, home, above the pad again; z in
     the ground's zero"""
@@ -38,18 +50,39 @@ class Flight:
     """along the legs"""
     airborne: bool = False
     """it is in the air at the first point already"""
+    homeward: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    """``[k, (row, col)]`` cells that the way home leads over, which are read as well"""
+    stop: NDArray[np.bool_] | None = None
+    """``[point]`` whether it stops there; at every corner when left out"""
 
     @cached_property
     def timeline(self) -> Timeline:
         """Where it is when."""
         return timeline(
-            self.route_m, self.pad_m[2], self.speed_mps, self.delay_s, airborne=self.airborne
+            self.route_m,
+            self.pad_m[2],
+            self.speed_mps,
+            self.delay_s,
+            stop=self.stops,
+            airborne=self.airborne,
         )
 
     @property
+    def stops(self) -> NDArray[np.bool_]:
+        """``[point]`` whether it stops there, at a corner."""
+        return sharp_corners(self.route_m, 5.0) if self.stop is None else self.stop
+
+    @property
+    def read_cells(self) -> NDArray[np.int64]:
+        """``[k, (row, col)]`` cells under the whole flight."""
+        return np.concatenate([self.cells, self.homeward])
+
+    @cached_property
     def air_s(self) -> float:
         """Seconds in the air."""
-        return self.timeline.landed_s - self.delay_s
+        up, down = self.heights_m[[0, -1]]
+        climb_s = 0.0 if self.airborne else up / CLIMB_MPS
+        return climb_s + way_seconds(self.route_m, self.speed_mps, self.stops) + down / DESCENT_MPS
 
     @property
     def length_m(self) -> float:
@@ -72,21 +105,30 @@ class Flight:
             "delay_s": self.delay_s,
             "speed_mps": self.speed_mps,
             "airborne": self.airborne,
+            "homeward": self.homeward.tolist(),
+            "stops": np.flatnonzero(self.stops).tolist(),
         }
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Flight:
         """The flight that `as_data` told of."""
         x, y, z = data["pad_m"]
+        route = np.array(data["route_m"], dtype=float)
+        stop = None  # older journals stop at every corner
+        if "stops" in data:
+            stop = np.zeros(len(route), dtype=bool)
+            stop[data["stops"]] = True
         return cls(
             int(data["uav"]),
             np.array(data["cells"], dtype=np.int64).reshape(-1, 2),
-            np.array(data["route_m"], dtype=float),
+            route,
             int(data["measuring"]),
             (x, y, z),
             float(data["delay_s"]),
             float(data["speed_mps"]),
             bool(data["airborne"]),
+            np.array(data.get("homeward", []), dtype=np.int64).reshape(-1, 2),
+            stop,
         )
 
 
@@ -110,7 +152,7 @@ class Sortie:
     @property
     def cells(self) -> NDArray[np.int64]:
         """``[k, (row, col)]`` distinct cells to be measured."""
-        return np.unique(np.concatenate([f.cells for f in self.flights]), axis=0)
+        return np.unique(np.concatenate([f.read_cells for f in self.flights]), axis=0)
 
     @property
     def duration_s(self) -> float:
@@ -170,27 +212,43 @@ def flight_along(
 ) -> Flight:
     """The flight of ``uav`` along ``cells[k, (row, col)]`` and the short way home.
 
-    It begins on its pad, or in the air at ``start_m[k, (x, y)]``, points that lead to the first
-    cell.
+    Stairs of cells become straight legs, and the cells under those are what it measures. It begins
+    on its pad, or in the air at ``start_m[k, (x, y)]``, points that lead to the first cell.
     """
-    pad = site.pads[uav]
-    before = pad.xy_m if start_m is None else start_m
-    out = corners(np.vstack([before, site.grid.xy_m(cells)]))
-    home = ways.way(cells[-1])
-    there = _at_heights(site, out)
-    back = _at_heights(site, home)
+    before = site.pads[uav].xy_m if start_m is None else start_m
+    points = corners(np.vstack([before, site.grid.xy_m(cells)]))
+    out = corners(straightened(site.space, points, _STAIRS * site.grid.spacing_m))
+    return flight_over(site, uav, out, ways.way(cells[-1]), airborne=start_m is not None)
+
+
+def flight_over(
+    site: Site,
+    uav: int,
+    out_m: NDArray[np.float64],
+    home_m: NDArray[np.float64],
+    *,
+    airborne: bool = False,
+) -> Flight:
+    """The flight of ``uav`` along the clear legs ``out_m[n, (x, y)]``, and from their last point
+    along ``home_m[n, (x, y)]``."""
+    pad, space = site.pads[uav], site.space
+    there = _at_heights(site, out_m)
+    back = _at_heights(site, home_m)
     route = np.vstack([there, back[1:]])
     if len(route) == 1:
         route = np.vstack([route, route])
+    stop = sharp_corners(route) | ~space.clear_corners(route[:, :2], ROUNDING_M)
     x, y = (float(v) for v in pad.xy_m)
     return Flight(
         uav,
-        cells,
+        space.cells_read(out_m),
         route,
         len(there),
         (x, y, pad.ground_m),
         speed_mps=site.request.speed_mps,
-        airborne=start_m is not None,
+        airborne=airborne,
+        homeward=space.cells_read(home_m),
+        stop=stop,
     )
 
 

@@ -1,0 +1,371 @@
+"""Closed tours that teach most for their time.
+
+Every tour begins where its UAV is and ends at its home. Place after place enters where it adds the
+most per second: the fall of the expected squared error of the map by all that is read on the way
+there and back, over the flight time that the detour takes. What one UAV will read teaches nothing
+twice, so the tours part the area among themselves.
+"""
+
+from __future__ import annotations
+
+__all__ = ["Lessons", "Start", "Tour", "find_tours", "plan_tours"]
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from skygain.fields.planning import planning_field
+from skygain.missions.clearance import straightened
+from skygain.missions.site import Site
+from skygain.missions.sortie import Flight, corners, flight_over
+from skygain.missions.streets import Streets
+from skygain.missions.timing import ACCELERATION_MPS2, corner_seconds, way_seconds
+from skygain.planners.search.reach import target_cells
+from skygain.planners.search.volatility import volatility
+from skygain.predictors.base import Belief
+
+Floats = NDArray[np.float32]
+
+MOST_TARGETS = 500
+"""cells that stand for the map"""
+MOST_READINGS = 500
+"""readings conditioned on, spread over the map"""
+_BEND_CELLS = 2.0
+"""cells that a leg may lie off the places it was planned by"""
+_ROUNDS = 2
+"""so often tours are found, the second time with what their legs really take"""
+_SLACK_S = 4.0
+"""seconds of battery that may be left unused"""
+_TRIED = 24
+"""candidates whose gain is computed exactly before one is taken"""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where one UAV's tour begins."""
+
+    uav: int
+    """its number"""
+    flown_m: NDArray[np.float64]
+    """``[n, (x, y)]`` what it has flown or will fly in any case; the tour begins at its end"""
+    left_s: float
+    """seconds for all of it from the first of these points home, without climb and landing"""
+
+    @property
+    def heading(self) -> NDArray[np.float64]:
+        """Unit vector in which it comes; zero at rest."""
+        if len(self.flown_m) < 2:
+            return np.zeros(2)
+        step = self.flown_m[-1] - self.flown_m[-2]
+        return np.asarray(step / max(float(np.hypot(*step)), 1e-9))
+
+
+@dataclass(frozen=True)
+class Tour:
+    """What one UAV would fly, as places of the streets."""
+
+    stops: tuple[int, ...]
+    """places it was sent to, the first where it begins, the last its home"""
+    seconds: float
+    """about so long it takes, without climb and landing"""
+
+    def legs_m(self, streets: Streets) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``[n, (x, y)]`` corners up to the last place it was sent to, and from there home."""
+        tolerance = _BEND_CELLS * streets.space.grid.spacing_m
+        out = [self.stops[0]]
+        for one, other in pairwise(self.stops[:-1]):
+            out += streets.way(one, other)[1:]
+        home = streets.way(self.stops[-2], self.stops[-1])
+        first, last = (
+            corners(straightened(streets.space, streets.xy_m[places], tolerance))
+            for places in (out, home)
+        )
+        return first, last
+
+
+@dataclass(eq=False)
+class Lessons:
+    """What readings at sites would teach about the map, given those that are planned."""
+
+    among: Floats
+    """``[s, s + x]`` covariance of sites with sites and weighted targets, before any plan"""
+    noise_db2: float
+    """of a planned reading"""
+
+    def __post_init__(self) -> None:
+        self.now = self.among.copy()
+        self.planned = np.zeros(len(self.among), dtype=bool)
+
+    @classmethod
+    def about(
+        cls, belief: Belief, sites: NDArray[np.int64], noise_db2: float, *, weighted: bool = True
+    ) -> Lessons:
+        """The lessons that sites hold for what ``belief`` does not know; ``weighted`` as in
+        `SequentialGreedyPlanner`."""
+        field = planning_field(belief)
+        scenario = belief.scenario
+        visited = belief.measurements.visited(scenario.grid.shape)
+        weight = (scenario.outdoor & ~visited).astype(float)
+        if field.kernel and weighted:
+            weight *= volatility(field.posterior.mean_db)
+        middle = (np.array(weight.shape) - 1) / 2
+        targets, mass = target_cells(weight, middle, float(max(weight.shape)), MOST_TARGETS)
+        thinned = field
+        side = 1
+        while len(thinned.cells) > MOST_READINGS:
+            side += 1
+            square = field.cells // side
+            _, first = np.unique(square[:, 0] * weight.shape[1] + square[:, 1], return_index=True)
+            thinned = replace(
+                field, cells=field.cells[first], noise_db2=field.noise_db2[first]
+            )
+        source = thinned.conditioned(np.float32)
+        white = source.whitened(np.concatenate([sites, targets]))
+        mine, theirs = white[:, : len(sites)], white[:, len(sites) :]
+        among = np.concatenate(
+            [
+                source.covariance(sites, sites, mine, mine),
+                source.covariance(sites, targets, mine, theirs) * np.sqrt(mass),
+            ],
+            axis=1,
+        )
+        return cls(np.ascontiguousarray(among, dtype=np.float32), noise_db2)
+
+    @property
+    def single(self) -> Floats:
+        """``[s]`` what each site alone would teach now; nothing where it is planned."""
+        n = len(self.now)
+        variance = np.maximum(self.now[:, :n].diagonal(), 0.0) + self.noise_db2
+        gain = (self.now[:, n:] ** 2).sum(axis=1) / variance
+        return np.where(self.planned, 0.0, gain).astype(np.float32)
+
+    def gain(self, sites: NDArray[np.int64]) -> float:
+        """What sites together would teach now."""
+        white = self._white(sites, self.now[sites, len(self.now) :])
+        return float((white**2).sum())
+
+    def plan(self, sites: NDArray[np.int64]) -> None:
+        """Take readings at sites as planned."""
+        sites = sites[~self.planned[sites]]
+        if len(sites):
+            white = self._white(sites, self.now[sites])
+            self.now -= white[:, : len(self.now)].T @ white
+            self.planned[sites] = True
+
+    def begin(self, sites: NDArray[np.int64]) -> None:
+        """Forget all plans but readings at sites."""
+        self.now = self.among.copy()
+        self.planned[:] = False
+        self.plan(sites)
+
+    def _white(self, sites: NDArray[np.int64], cross: Floats) -> Floats:
+        gram = self.now[np.ix_(sites, sites)].astype(float)
+        gram[np.diag_indices_from(gram)] += self.noise_db2
+        factor = np.linalg.cholesky(gram).astype(np.float32)
+        return solve_triangular(factor, cross, lower=True, check_finite=False)
+
+
+def plan_tours(
+    site: Site,
+    belief: Belief,
+    starts: Sequence[Start],
+    noise_db2: float,
+    weighted: bool,
+    told: Callable[[int, int], None] = lambda done, total: None,
+    known: NDArray[np.int64] | None = None,
+) -> list[list[Flight]]:
+    """For each start its flight, and the same the other way round where all of it is still to be
+    flown; none where the battery does not even bring it home.
+
+    Args:
+        site: where.
+        belief: what is known so far, ready for readings that are only expected.
+        starts: where tours begin.
+        noise_db2: variance of a planned reading.
+        weighted: see `SequentialGreedyPlanner`.
+        told: hears how many rounds of how many are done.
+        known: ``[k, (row, col)]`` cells that others will read.
+    """
+    streets, speed = Streets.of(site.space), site.request.speed_mps
+    n, k = len(streets.places), len(starts)
+    homes = np.array([site.pads[one.uav].xy_m for one in starts])
+    joined = streets.joined(np.concatenate([[one.flown_m[-1] for one in starts], homes]))
+    flown = [site.space.cells_read(one.flown_m) for one in starts]
+    theirs = np.concatenate([*flown, np.empty((0, 2), np.int64) if known is None else known])
+    lessons = Lessons.about(belief, streets.sites, noise_db2, weighted=weighted)
+    left = np.array([one.left_s - _flown_s(one, speed) for one in starts])
+    found: list[list[Flight]] = [[] for _ in starts]
+    for round_ in range(2 * _ROUNDS):
+        tours = find_tours(
+            joined,
+            lessons,
+            range(n, n + k),
+            range(n + k, n + 2 * k),
+            left,
+            speed,
+            np.array([one.heading for one in starts]),
+            streets.sites_at(theirs),
+        )
+        flights = [_flights(site, joined, one, t) for one, t in zip(starts, tours, strict=True)]
+        over = np.array(
+            [
+                way_seconds(f[0].route_m, speed, f[0].stops) - one.left_s if f else 0.0
+                for f, one in zip(flights, starts, strict=True)
+            ]
+        )
+        for i in np.flatnonzero(over <= 0):
+            # what is found with more time is better, what does not fit is not
+            found[i] = flights[i]
+        told(min(round_ + 1, _ROUNDS), _ROUNDS)
+        if ((over <= 0) & (over > -_SLACK_S)).all() or round_ + 1 >= _ROUNDS and all(found):
+            break
+        left = left - over - np.where(over > 0, 1.0, 0.0)
+    return found
+
+
+def _flown_s(start: Start, speed_mps: float) -> float:
+    """Seconds until the tour begins, at full speed."""
+    if len(start.flown_m) < 2:
+        return 0.0
+    return way_seconds(start.flown_m, speed_mps) - speed_mps / (2 * ACCELERATION_MPS2)
+
+
+def _flights(site: Site, streets: Streets, start: Start, tour: Tour) -> list[Flight]:
+    """The flight of a tour, and the other way round where it begins at rest."""
+    out, home = tour.legs_m(streets)
+    if len(start.flown_m) > 1:
+        return [flight_over(site, start.uav, corners(np.vstack([start.flown_m, out[1:]])), home)]
+    back, away = replace(tour, stops=tour.stops[::-1]).legs_m(streets)
+    return [flight_over(site, start.uav, *legs) for legs in ((out, home), (back, away))]
+
+
+def find_tours(
+    streets: Streets,
+    lessons: Lessons,
+    starts: Sequence[int],
+    homes: Sequence[int],
+    seconds: Sequence[float],
+    speed_mps: float,
+    headings: NDArray[np.float64] | None = None,
+    known: NDArray[np.int64] | None = None,
+) -> list[Tour]:
+    """One tour for each UAV, found together.
+
+    Args:
+        streets: where they fly.
+        lessons: what is to be learnt.
+        starts: place at which each begins.
+        homes: place at which each ends.
+        seconds: that each may fly, without climb and landing.
+        speed_mps: along the legs.
+        headings: ``[uav, (x, y)]`` unit vectors in which they come; zero for those at rest.
+        known: numbers of sites that are read by others anyway.
+    """
+    search = _Search(streets, lessons, speed_mps)
+    tours = [[a, b] for a, b in zip(starts, homes, strict=True)]
+    come = np.zeros((len(tours), 2)) if headings is None else headings
+    theirs = np.empty(0, dtype=np.int64) if known is None else known
+    took = [search.seconds(tour, way) for tour, way in zip(tours, come, strict=True)]
+
+    def begin() -> None:
+        lessons.begin(np.union1d(theirs, search.read(tours)))
+
+    begin()
+    open_ = [t <= s for t, s in zip(took, seconds, strict=True)]
+    while any(open_):
+        best = None
+        for u in np.flatnonzero(open_):
+            left_s, least = seconds[u] - took[u], best[0] if best else 0.0
+            found = search.best(tours[u], come[u], left_s, least)
+            if found is None:
+                continue
+            if best is None or found[0] > best[0]:
+                best = (found[0], int(u), found[1], found[2])
+        if best is None:
+            break
+        _, u, position, place = best
+        tours[u].insert(position, place)
+        took[u] = search.seconds(tours[u], come[u])
+        begin()
+    return [Tour(tuple(t), s) for t, s in zip(tours, took, strict=True)]
+
+
+class _Search:
+    """Detours by what they add per second."""
+
+    def __init__(self, streets: Streets, lessons: Lessons, speed_mps: float) -> None:
+        self.streets, self.lessons, self.speed = streets, lessons, speed_mps
+        self.out, self.into = streets.directions()
+        self.seconds_of = streets.length_m / speed_mps
+
+    def seconds(self, tour: Sequence[int], come: NDArray[np.float64]) -> float:
+        """About the time of a tour from rest, or from full speed in the direction ``come``, to
+        rest."""
+        t = np.asarray(tour)
+        total = float(self.seconds_of[t[:-1], t[1:]].sum())
+        turn = (self.into[t[:-2], t[1:-1]] * self.out[t[1:-1], t[2:]]).sum(axis=1)
+        ramps = 1.0
+        if come.any():
+            turn = np.append(turn, come @ self.out[t[0], t[1]])
+            ramps = 0.5
+        ends = ramps * self.speed / ACCELERATION_MPS2
+        return total + float(corner_seconds(turn, self.speed).sum()) + ends
+
+    def read(self, tours: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+        """Sites read on tours."""
+        found = np.zeros(len(self.lessons.among), dtype=bool)
+        for tour in tours:
+            for a, b in zip(tour[:-1], tour[1:], strict=True):
+                found |= self.streets.reads(a)[b]
+        return np.flatnonzero(found)
+
+    def best(
+        self, tour: Sequence[int], come: NDArray[np.float64], left_s: float, least: float
+    ) -> tuple[float, int, int] | None:
+        """Gain per second, position and place of the best detour of a tour, if any is better than
+        ``least``."""
+        single = self.lessons.single
+        ends = np.array(tour)
+        one, other = ends[:-1], ends[1:]
+        n = len(self.streets.places)
+        more = self.seconds_of[one] + self.seconds_of[other] - self.seconds_of[one, other][:, None]
+        more += self._corners(come, one, other)
+        more = np.maximum(more, 0.2)
+        reads = np.stack(
+            [self.streets.reads(a) | self.streets.reads(b) for a, b in zip(one, other, strict=True)]
+        )
+        rate = (reads @ single) / more
+        rate[more > left_s] = 0.0
+        order = np.argsort(-rate, axis=None)[:_TRIED]
+        best, found = least, None
+        for flat in order:
+            position, place = divmod(int(flat), n)
+            if rate[position, place] <= best:
+                break
+            sites = np.flatnonzero(reads[position, place] & ~self.lessons.planned)
+            exact = self.lessons.gain(sites) / more[position, place] if len(sites) else 0.0
+            if exact > best:
+                best, found = exact, (exact, position + 1, place)
+        return found
+
+    def _corners(
+        self, come: NDArray[np.float64], one: NDArray[np.int64], other: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """``[position, place]`` seconds that a detour adds at corners."""
+        def cost(first, second):  # type: ignore[no-untyped-def]
+            return corner_seconds((first * second).sum(axis=-1), self.speed)
+
+        added = cost(self.into[one], self.out[:, other].transpose(1, 0, 2))
+        for k in range(len(one)):
+            if k > 0:
+                come = self.into[one[k - 1], one[k]]
+            if come.any():
+                added[k] += cost(come, self.out[one[k]]) - cost(come, self.out[one[k], other[k]])
+            if k + 1 < len(one):
+                go = self.out[other[k], other[k + 1]]
+                added[k] += cost(self.into[:, other[k]], go) - cost(self.into[one[k], other[k]], go)
+        return added
