@@ -24,10 +24,11 @@ from skygain.missions.clearance import Airspace, obstacles
 from skygain.missions.folder import Mission
 from skygain.missions.journal import Journal
 from skygain.missions.live import FLYING, LiveFlight
-from skygain.missions.planning import plan_sortie
+from skygain.missions.planning import plan_sortie, staggered
+from skygain.missions.rehearsal import rehearse
 from skygain.missions.requests import MissionNewRequest
 from skygain.missions.site import Site, open_site
-from skygain.missions.sortie import flight_along
+from skygain.missions.sortie import Flight, flight_along
 from skygain.missions.vehicle_link import Heard
 from skygain.planners import create_planner
 from skygain.survey.methods import planner, predictor
@@ -35,8 +36,8 @@ from skygain.survey.methods import planner, predictor
 CRS, CORNER_M = "EPSG:32632", (500_000.0, 5_538_000.0)
 CLEARANCE_M, SEPARATION_M, SPEED_MPS, ALTITUDE_M = 4.0, 12.0, 5.0, 10.0
 WAYS = {
-    "planned before": "sequential greedy, a whole sortie before take-off",
-    "planned live": "sequential greedy, anew every 15 steps with what was read",
+    "planned before": "closed tours, found before take-off",
+    "planned live": "closed tours, found anew every 15 s with what was read",
     "lawnmower": "coordinated lawnmower, the closest lanes the battery allows",
 }
 
@@ -75,9 +76,9 @@ def site_of(case: Case, uavs: int, battery_min: float) -> Site:
     return open_site(request, Reading(city))
 
 
-def lawnmower_paths(site: Site) -> list[np.ndarray]:
-    """Cells of each UAV: lanes as close as all batteries allow, flown with a stop at each
-    corner."""
+def lawnmower_flights(site: Site) -> list[Flight]:
+    """Lanes as close as all batteries allow, flown by the same rules as tours: stairs around
+    buildings straightened, corners flown through, readings on the way home taken too."""
     start = np.array([pad.cell for pad in site.pads])
     most = int(site.request.usable_s * SPEED_MPS / site.grid.spacing_m)
     for share in np.arange(1.0, 0.3, -0.05):
@@ -88,94 +89,106 @@ def lawnmower_paths(site: Site) -> list[np.ndarray]:
         flights = [flight_along(site, k, path, site.ways_home[k]) for k, path in enumerate(paths)]
         if max(f.air_s for f in flights) <= site.request.usable_s:
             break
-    return list(paths)
+    return flights
 
 
-def flown(case: Case, way: str, battery_min: float, uavs: int) -> list[float]:
-    """(RMSE in dB over all outdoor cells, mean seconds in the air) of one sortie."""
+def flown(case: Case, way: str, name: str, battery_min: float, uavs: int) -> list[list[float]]:
+    """(RMSE in dB over all outdoor cells, mean seconds in the air, seconds from the first take-off
+    to the last landing) of one sortie; for tours as planned before and as planned live."""
     site = site_of(case, uavs, battery_min)
     truth_db = case.truth_db.astype(float)
 
     def read(cells: np.ndarray) -> Measurements:
         return Measurements.at(cells, truth_db[cells[:, 0], cells[:, 1]])
 
-    prior = predictor("kriging-blind").begin(site.scenario)
+    prior = predictor(name).begin(site.scenario)
     if way == "lawnmower":
-        paths = lawnmower_paths(site)
-        flights = [flight_along(site, k, p, site.ways_home[k]) for k, p in enumerate(paths)]
+        one_each = [[flight] for flight in lawnmower_flights(site)]
+        sorties = [staggered(site, range(uavs), one_each)[0]]
     else:
-        found = plan_sortie(
-            site,
-            prior,
-            planner("sequential-greedy"),
-            np.random.default_rng(case.seed),
-            read=read if way == "planned live" else None,
-        )
-        flights = list(found.flights)
-    cells = np.unique(np.concatenate([f.cells for f in flights]), axis=0)
-    mean = prior.updated(read(cells)).posterior().mean_db
-    outdoor = site.scenario.outdoor & np.isfinite(truth_db)
-    rmse = float(np.sqrt(((mean - truth_db)[outdoor] ** 2).mean()))
-    return [rmse, float(np.mean([f.air_s for f in flights]))]
+        chooser = planner("sequential-greedy")
+        before = plan_sortie(site, prior, chooser, np.random.default_rng(case.seed))
+        live = rehearse(site, prior, before, read, chooser)
+        sorties = [list(before.flights), list(live.flights)]
+    found = []
+    for flights in sorties:
+        cells = np.unique(np.concatenate([f.read_cells for f in flights]), axis=0)
+        mean = prior.updated(read(cells)).posterior().mean_db
+        outdoor = site.scenario.outdoor & np.isfinite(truth_db)
+        rmse = float(np.sqrt(((mean - truth_db)[outdoor] ** 2).mean()))
+        last = max(f.timeline.landed_s for f in flights)
+        found.append([rmse, float(np.mean([f.air_s for f in flights])), float(last)])
+    return found
 
 
 @study(
     "mission_flight_time",
     data="DATA",
-    cities=Option(12, "cities of T2"),
+    cities=Option(12, "surveys of T2, a city each first"),
     uavs=Option(3, "UAVs"),
-    batteries=Option((4.0, 6.0, 9.0, 13.0), "minutes of battery"),
+    batteries=Option((2.5, 4.0, 6.0), "minutes of battery"),
+    predictor=Option("operator", "predictor of all ways; it is told nothing"),
 )
 def mission_flight_time(run: Run) -> list[Table]:
-    """What the flight time of a sortie buys: planned before take-off, planned live, and lawnmower
-    legs with the same area, clearance and battery, on cities of T2 as footprints."""
+    """What the flight time of a sortie buys: tours planned before take-off, planned live, and
+    lawnmower legs with the same area, clearance, battery and rules of flight, on cities of T2 as
+    footprints."""
     o = run.options
     cases = survey_cases(ChannelDataset.open(run.data), "T2", max_surveys=o.cities)
     curves: dict[str, list[list[float]]] = {way: [] for way in WAYS}
     rows = []
     for battery in o.batteries:
-        row = [f"{battery:g} min"]
-        for way in WAYS:
-            found = [
+        found = [
+            [
                 run.once(
-                    (way, case.link, battery, o.uavs),
-                    lambda c=case, w=way, b=battery: flown(c, w, b, o.uavs),
+                    (way, case.link, battery, o.uavs, o.predictor),
+                    lambda c=case, w=way, b=battery: flown(c, w, o.predictor, b, o.uavs),
                 )
-                for case in cases
+                for way in ("tours", "lawnmower")
             ]
-            rmse, air_s = np.mean(found, axis=0)
+            for case in cases
+        ]
+        mean = np.mean([[*tours, *lawnmower] for tours, lawnmower in found], axis=0)
+        row = [f"{battery:g} min"]
+        for way, (rmse, air_s, last_s) in zip(WAYS, mean, strict=True):
             curves[way].append([float(air_s), float(rmse)])
-            row.append(f"{rmse:.2f} ({air_s / 60:.1f} min)")
+            row.append(f"{rmse:.2f} ({air_s / 60:.1f}, {last_s / 60:.1f} min)")
         rows.append(row)
     title = (
         f"RMSE in dB over outdoor cells after one sortie of {o.uavs} UAVs, in brackets the mean "
-        f"time in the air; kriging-blind, exact readings, {len(cases)} surveys of T2, "
-        f"{SPEED_MPS:g} m/s, {CLEARANCE_M:g} m of clearance, 20 % reserve."
+        f"time in the air and the time from the first take-off to the last landing; {o.predictor}, "
+        f"exact readings, {len(cases)} surveys of T2, {SPEED_MPS:g} m/s, {CLEARANCE_M:g} m of "
+        "clearance, 20 % reserve."
     )
     return [
         Table(title, ["battery", *WAYS], rows),
         Table(
-            "Time in the air against the lawnmower's for the RMSE that it reaches with the largest "
-            "battery, from the curves above; more than 1 where it is not reached.",
-            ["way", "share of the lawnmower's time"],
-            [[way, share(curves[way], curves["lawnmower"])] for way in WAYS if way != "lawnmower"],
+            "Time in the air against the lawnmower's for the RMSE that it reaches with each "
+            "battery, from the curves above.",
+            ["the lawnmower's battery", *(way for way in WAYS if way != "lawnmower")],
+            [
+                [
+                    f"{battery:g} min",
+                    *(share(curves[w], curves["lawnmower"][k]) for w in WAYS if w != "lawnmower"),
+                ]
+                for k, battery in enumerate(o.batteries)
+            ],
         ),
     ]
 
 
-def share(curve: list[list[float]], base: list[list[float]]) -> str:
-    """Time at which ``curve`` reaches the last error of ``base``, in units of the time of the
-    latter."""
-    base_s, goal = base[-1]
+def share(curve: list[list[float]], goal: list[float]) -> str:
+    """Time at which ``curve`` reaches the error of ``goal``, in units of the time of the latter."""
+    goal_s, error = goal
     seconds, rmse = np.array(curve).T
-    reached = np.flatnonzero(rmse <= goal)
+    reached = np.flatnonzero(rmse <= error)
     if not len(reached):
         return "not reached"
     k = int(reached[0])
     if k == 0:
-        return f"below {seconds[0] / base_s:.2f}"
-    part = (rmse[k - 1] - goal) / (rmse[k - 1] - rmse[k])
-    return f"{(seconds[k - 1] + part * (seconds[k] - seconds[k - 1])) / base_s:.2f}"
+        return f"below {seconds[0] / goal_s:.2f}"
+    part = (rmse[k - 1] - error) / (rmse[k - 1] - rmse[k])
+    return f"{(seconds[k - 1] + part * (seconds[k] - seconds[k - 1])) / goal_s:.2f}"
 
 
 @dataclass

@@ -130,7 +130,7 @@ class SimulatedVehicle:
         self.wanted = 0
         self.current = 0
         self.armed, self.mode, self.speed, self.battery = False, 0, 5.0, 1.0
-        self.silent_until = self.hold = self.pace_mps = 0.0
+        self.silent_until = self.hold = self.pace_mps = self.through_mps = 0.0
         self.trace: list[tuple[float, float, float, float]] = []
         """(wall time, latitude, longitude, height) at every step"""
         self.uploads = 0
@@ -208,25 +208,48 @@ class SimulatedVehicle:
                 )
                 if item.command == 22:
                     to = (self.xyz[0], self.xyz[1], item.z)
+                self.through_mps = self._through(to) if item.command == 16 else 0.0
                 left = self._toward(to, 2.0 if item.command == 22 else self.speed, left)
             elif item.command == 20:
+                self.through_mps = 0.0
                 left = self._toward((0.0, 0.0, 0.0), 1.0, left)
                 if self.xyz[2] <= 0.01:
                     self.armed = False
             else:
                 self.current += 1
 
+    def _through(self, corner: tuple[float, float, float]) -> float:
+        """Speed at which a corner without a hold is passed, as PX4 reckons it."""
+        item, after = self.items[self.current], self.items[self.current + 1]
+        if item.param1 > 0 or after.command != 16:
+            return 0.0
+        ahead = (
+            (after.y / 1e7 - self.home[1]) * self.east_m - corner[0],
+            (after.x / 1e7 - self.home[0]) * 111_319.5 - corner[1],
+        )
+        come = corner[0] - self.xyz[0], corner[1] - self.xyz[1]
+        if math.hypot(*come) < 0.01 or math.hypot(*ahead) < 0.01:
+            return self.through_mps
+        turn = math.atan2(come[0] * ahead[1] - come[1] * ahead[0],
+                          come[0] * ahead[0] + come[1] * ahead[1])  # fmt: skip
+        half = max(abs(turn) / 2, 1e-3)
+        room = min(item.param2, math.hypot(*ahead) / 2)
+        return min(self.speed, math.sqrt(1.5 * room / math.tan(half)))
+
     def _toward(self, to: tuple[float, float, float], speed: float, left: float) -> float:
-        """Move for at most ``left`` seconds, with an acceleration and a stop at the end."""
+        """Move for at most ``left`` seconds, with an acceleration and a stop at the end, or the
+        speed at which the corner there is passed."""
         while left > 0:
             gap = math.dist(to, self.xyz)
             step = min(left, 0.05)
             self.pace_mps = min(
-                self.pace_mps + ACCELERATION * step, speed, math.sqrt(2 * ACCELERATION * gap) + 0.05
+                self.pace_mps + ACCELERATION * step,
+                speed,
+                math.sqrt(2 * ACCELERATION * gap + self.through_mps**2) + 0.05,
             )
             left -= step
             if gap <= self.pace_mps * step:
-                self.xyz, self.pace_mps = list(to), 0.0
+                self.xyz, self.pace_mps = list(to), self.through_mps
                 item = self.items[self.current]
                 self.hold = item.param1 if item.command == 16 else 0.0
                 self.current += 1

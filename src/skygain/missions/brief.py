@@ -15,7 +15,7 @@ from skygain.missions.orders import orders_for
 from skygain.missions.pictures import sortie_figure
 from skygain.missions.site import Site
 from skygain.missions.sortie import Sortie
-from skygain.missions.timing import ACCELERATION_MPS2, SLIP_S, STOP_SLIP, nearest
+from skygain.missions.timing import ROUNDING_M, SLIP_S, nearest
 
 _STYLE = """
 :root { color-scheme: light; --ink: #1f2933; --soft: #5b6672; --line: #d8dee4; }
@@ -125,7 +125,8 @@ def _steps(sortie: Sortie) -> list[str]:
     return [
         "Put every UAV on its take-off place and load its file (uavN.plan, .waypoints or .kmz).",
         "Set each vehicle's return height (RTL_RETURN_ALT, RTL_ALT) to the one in the table, and "
-        "the fence to what the file holds.",
+        "the fence to what the file holds. Waypoints are rounded within "
+        f"{ROUNDING_M:g} m: ArduPilot takes that from WPNAV_RADIUS, the others from their file.",
         start,
         "After landing: skygain mission ingest with the logs, then skygain mission plan.",
     ]
@@ -150,7 +151,7 @@ def risks(site: Site, sortie: Sortie) -> list[str]:
             f"({request.clearance_m:g} m asked for). Trees, cranes, masts and wires are not in the "
             "map: look for them."
         )
-    per_corner = STOP_SLIP * request.speed_mps / ACCELERATION_MPS2
+    late_s = max(float(f.timeline.slip_s[-1]) for f in sortie.flights)
     pairs = [
         (nearest(a.timeline, b.timeline, request.speed_mps), a.uav, b.uav)
         for i, a in enumerate(sortie.flights)
@@ -161,9 +162,9 @@ def risks(site: Site, sortie: Sortie) -> list[str]:
         if gap < 1e6:
             lines.append(
                 f"UAVs {other} and {one} come nearest: not below {gap:.0f} m as long as none is "
-                f"more than {SLIP_S:g} s early or late, and {per_corner:.1f} s more for each "
-                f"corner it has passed ({request.separation_m:g} m asked for). A UAV that waits "
-                "longer breaks this: bring the others home."
+                f"more than {SLIP_S:g} s early or late, and some more for each corner it has "
+                f"passed, {late_s:.0f} s at the end ({request.separation_m:g} m asked for). A UAV "
+                "that waits longer breaks this: bring the others home."
             )
         else:
             lines.append("No two UAVs come near each other while they are in the air.")

@@ -198,7 +198,7 @@ class Airspace:
 
 
 def _under(grid: Grid, points_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """``[k, (row, col)]`` cells that a vehicle reads on its way along a polyline, in their order."""
+    """``[k, (row, col)]`` cells read on the way along a polyline, in their order."""
     points = (np.asarray(points_m, dtype=float) - np.asarray(grid.origin_m)) / grid.spacing_m
     parts = [points[:1]]
     for start, end in pairwise(points):

@@ -16,13 +16,14 @@ import numpy as np
 
 from skygain.ground.files import atomic_write
 from skygain.missions.orders import Orders, Point
-from skygain.missions.timing import HOLD_S, leg_seconds
+from skygain.missions.timing import HOLD_S, ROUNDING_M
 
 WAYPOINT_LIMIT = 200
 """waypoints that DJI's apps take in one mission"""
 _KML = "http://www.opengis.net/kml/2.2"
 _WPML = "http://www.dji.com/wpmz/1.0.2"
 _STOPS = "toPointAndStopWithDiscontinuityCurvature"
+_ROUNDS = "coordinateTurn"
 _MOMENT = (2000, 1, 1, 0, 0, 0)
 _DRONE = 77
 """the Mavic 3 Enterprise; an app with another aircraft asks and changes it"""
@@ -30,7 +31,7 @@ _EARTH_M = 6_371_008.8
 
 
 def write_kmz(orders: Orders, part: slice, path: Path) -> None:
-    """The waypoints of ``part``, with a stop at each, heights relative to the take-off place."""
+    """The waypoints of ``part``, heights relative to the take-off place."""
     points = orders.points[part]
     files = {
         "wpmz/template.kml": _template(orders, points),
@@ -58,6 +59,7 @@ def _template(orders: Orders, points: tuple[Point, ...]) -> bytes:
     _heading(folder, "globalWaypointHeadingParam")
     _wpml(folder, "globalWaypointTurnMode", _STOPS)
     _wpml(folder, "globalUseStraightLine", "1")
+    lengths = _lengths(points)
     for number, point in enumerate(points):
         mark = _placemark(folder, number, point)
         _wpml(mark, "ellipsoidHeight", f"{point.height_m:.2f}")
@@ -65,7 +67,9 @@ def _template(orders: Orders, points: tuple[Point, ...]) -> bytes:
         _wpml(mark, "useGlobalHeight", "0")
         _wpml(mark, "useGlobalSpeed", "1")
         _wpml(mark, "useGlobalHeadingParam", "1")
-        _wpml(mark, "useGlobalTurnParam", "1")
+        _wpml(mark, "useGlobalTurnParam", "0")
+        _turn(mark, points, number, lengths)
+        _wpml(mark, "useStraightLine", "1")
         _wpml(mark, "gimbalPitchAngle", "0")
     return _bytes(root)
 
@@ -79,16 +83,14 @@ def _waylines(orders: Orders, points: tuple[Point, ...]) -> bytes:
     _wpml(folder, "executeHeightMode", "relativeToStartPoint")
     _wpml(folder, "waylineId", "0")
     _wpml(folder, "distance", f"{lengths.sum():.2f}")
-    _wpml(folder, "duration", f"{leg_seconds(lengths, orders.speed_mps).sum():.2f}")
+    _wpml(folder, "duration", f"{points[-1].moment_s - points[0].moment_s:.2f}")
     _wpml(folder, "autoFlightSpeed", f"{orders.speed_mps:g}")
     for number, point in enumerate(points):
         mark = _placemark(folder, number, point)
         _wpml(mark, "executeHeight", f"{point.height_m:.2f}")
         _wpml(mark, "waypointSpeed", f"{orders.speed_mps:g}")
         _heading(mark, "waypointHeadingParam")
-        turn = _wpml(mark, "waypointTurnParam")
-        _wpml(turn, "waypointTurnMode", _STOPS)
-        _wpml(turn, "waypointTurnDampingDist", "0")
+        _turn(mark, points, number, lengths)
         _wpml(mark, "useStraightLine", "1")
         if point.stop:
             _hover(mark, number)
@@ -119,6 +121,18 @@ def _config(document: Xml.Element, orders: Orders) -> None:
 def _heading(parent: Xml.Element, name: str) -> None:
     heading = _wpml(parent, name)
     _wpml(heading, "waypointHeadingMode", "followWayline")
+
+
+def _turn(mark: Xml.Element, points: tuple[Point, ...], number: int, lengths: np.ndarray) -> None:
+    """A stop, or a corner rounded within what two rounded corners leave of the shorter leg."""
+    turn = _wpml(mark, "waypointTurnParam")
+    if points[number].stop or number in (0, len(points) - 1):
+        _wpml(turn, "waypointTurnMode", _STOPS)
+        _wpml(turn, "waypointTurnDampingDist", "0")
+        return
+    room = min(ROUNDING_M, 0.45 * float(lengths[number - 1 : number + 1].min()))
+    _wpml(turn, "waypointTurnMode", _ROUNDS)
+    _wpml(turn, "waypointTurnDampingDist", f"{room:.2f}")
 
 
 def _hover(mark: Xml.Element, number: int) -> None:

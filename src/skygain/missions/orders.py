@@ -29,7 +29,7 @@ class Point:
     homeward: bool
     """it belongs to the way home"""
     stop: bool
-    """the vehicle stops there, at a corner"""
+    """the vehicle stops there, at a corner without room to round it, or at the end"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def orders_for(site: Site, sortie: Sortie, flight: Flight) -> Orders:
             round(float(h), 2),
             float(t),
             k >= flight.measuring,
-            bool(stop),
+            bool(stop) or k == len(latlon) - 1,
         )
         for k, ((lat, lon), h, t, stop) in enumerate(
             zip(latlon, flight.heights_m, moments, flight.stops, strict=True)

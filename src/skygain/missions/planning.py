@@ -6,7 +6,7 @@ choose cells one after another, and their stairs are straightened.
 
 from __future__ import annotations
 
-__all__ = ["plan_sortie"]
+__all__ = ["check_battery", "expected_error", "plan_sortie", "staggered"]
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -82,7 +82,7 @@ def plan_sortie(
             for uav, path in zip(chosen, paths, strict=True)
         ]
     before_db = expected_error(site, belief)
-    flights, notes = _staggered(site, chosen, found)
+    flights, notes = staggered(site, chosen, found)
     if not flights:
         raise InputError(
             "no UAV can measure anything and come back; give a larger `battery_min`, a smaller "
@@ -136,9 +136,7 @@ def _vertical_s(site: Site, uav: int) -> float:
     return hover.air_s - way_seconds(hover.route_m, hover.speed_mps, hover.stops)
 
 
-def _first_legs(
-    site: Site, uav: int, run: NDArray[np.int64], left_s: float
-) -> NDArray[np.float64]:
+def _first_legs(site: Site, uav: int, run: NDArray[np.int64], left_s: float) -> NDArray[np.float64]:
     """``[n, (x, y)]`` from the pad along as much of ``run`` as leaves time to come home; the pad
     alone without a run."""
     pad = site.pads[uav].xy_m[None]
@@ -264,7 +262,7 @@ def _longest(site: Site, uav: int, path: NDArray[np.int64]) -> Flight | None:
     return best
 
 
-def _staggered(
+def staggered(
     site: Site, uavs: Sequence[int], found: Sequence[Sequence[Flight]]
 ) -> tuple[list[Flight], list[str]]:
     """One of each UAV's flights, with the smallest delays that keep them apart."""

@@ -17,7 +17,7 @@ from typing import Any
 
 from skygain.ground.files import atomic_write
 from skygain.missions.orders import Orders
-from skygain.missions.timing import HOLD_S
+from skygain.missions.timing import HOLD_S, ROUNDING_M
 
 WAYPOINT, RETURN, LAND, TAKEOFF, SPEED, DELAY = 16, 20, 21, 22, 178, 93
 """numbers of MAVLink commands"""
@@ -51,8 +51,8 @@ def items(orders: Orders, *, airborne: bool = False) -> list[Item]:
         Item(
             WAYPOINT,
             RELATIVE,
-            # without a hold an autopilot cuts the corner
-            (HOLD_S if point.stop else 0.0, 0.0, 0.0, 0.0),
+            # without a hold an autopilot rounds the corner, from the acceptance radius on
+            (HOLD_S if point.stop else 0.0, 0.0 if point.stop else ROUNDING_M, 0.0, 0.0),
             point.latitude,
             point.longitude,
             point.height_m,

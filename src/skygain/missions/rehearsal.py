@@ -109,9 +109,7 @@ def _planned(
         starts.append(Start(f.uav, _until(f, moment + LEAD_S), left_s))
     theirs = np.concatenate([np.empty((0, 2), dtype=np.int64), *others])
     found = plan_tours(site, belief, starts, planner.noise_db2, planner.weighted, known=theirs)
-    return [
-        replace(new[0], delay_s=f.delay_s) for f, new in zip(due, found, strict=True) if new
-    ]
+    return [replace(new[0], delay_s=f.delay_s) for f, new in zip(due, found, strict=True) if new]
 
 
 def _clear(site: Site, flight: Flight, others: Sequence[Flight], moment: float) -> bool:
@@ -128,6 +126,4 @@ def _rest(line: Timeline, moment: float) -> Timeline:
     """What comes after a moment at which the vehicle is seen where it should be."""
     at = min(int(moment / TICK_S), len(line.ticks_m) - 1)
     slip = line.slip_s[at:]
-    return Timeline(
-        line.ticks_m[at:], slip - slip[0] + SLIP_S, np.empty(0), line.landed_s - moment
-    )
+    return Timeline(line.ticks_m[at:], slip - slip[0] + SLIP_S, np.empty(0), line.landed_s - moment)

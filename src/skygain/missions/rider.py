@@ -80,11 +80,7 @@ class Rider:
     def found_again(self, grid: Grid, now_s: float) -> None:
         """Look for it along its whole flight, by place and moment."""
         cells = grid.xy_m(self.flight.cells)
-        along = np.concatenate([[0.0], np.hypot(*np.diff(cells, axis=0).T).cumsum()])
-        route = self.flight.route_m[:, :2]
-        length = np.concatenate([[0.0], np.hypot(*np.diff(route, axis=0).T).cumsum()])
-        begin = length[min(1, len(length) - 1)] if self.flight.airborne else 0.0
-        moment = np.interp(begin + along, length, self.flight.timeline.reached_s)
+        moment = self.flight.moments_s(cells)
         off = np.hypot(*(cells - self.place_m(grid)).T)
         late = np.abs(moment - (now_s - self.began_s))
         self.done = self.planned_at = int((off + 0.5 * late).argmin())

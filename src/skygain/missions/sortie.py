@@ -18,6 +18,7 @@ from skygain.missions.timing import (
     CLIMB_MPS,
     DESCENT_MPS,
     ROUNDING_M,
+    TICK_S,
     Timeline,
     sharp_corners,
     timeline,
@@ -26,6 +27,8 @@ from skygain.missions.timing import (
 
 _STAIRS = 0.75
 """stairs within so many cells of a straight leg are flown as the leg"""
+_SEARCHED = 160
+"""ticks ahead among which the next cell of a flight is looked for; a climb may lie between"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,18 @@ class Flight:
     def stops(self) -> NDArray[np.bool_]:
         """``[point]`` whether it stops there, at a corner."""
         return sharp_corners(self.route_m, 5.0) if self.stop is None else self.stop
+
+    def moments_s(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``[k]`` moments at which points ``points_m[k, (x, y)]`` near the way are passed, one
+        after another."""
+        ticks, found, at = self.timeline.ticks_m[:, :2], [], 0
+        at = int(np.isfinite(ticks[:, 0]).argmax())
+        for point in np.asarray(points_m, dtype=float):
+            ahead = ticks[at : at + _SEARCHED]
+            off = np.hypot(*(ahead - point).T)
+            at += int(np.where(np.isfinite(off), off, np.inf).argmin())
+            found.append(at * TICK_S)
+        return np.array(found)
 
     @property
     def read_cells(self) -> NDArray[np.int64]:

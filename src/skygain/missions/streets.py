@@ -179,7 +179,9 @@ def _places(space: Airspace) -> NDArray[np.float64]:
             kept.append((row, col))
             top, left = max(0, row - reach), max(0, col - reach)
             part = free[top : row + reach + 1, left : col + reach + 1]
-            part &= ~disk[top - row + reach :, left - col + reach :][: part.shape[0], : part.shape[1]]
+            part &= ~disk[top - row + reach :, left - col + reach :][
+                : part.shape[0], : part.shape[1]
+            ]
     return np.array(kept, dtype=float).reshape(-1, 2)
 
 

@@ -22,7 +22,7 @@ from skygain.fields.planning import planning_field
 from skygain.missions.clearance import straightened
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, corners, flight_over
-from skygain.missions.streets import Streets
+from skygain.missions.streets import SITE_CELLS, Streets
 from skygain.missions.timing import ACCELERATION_MPS2, corner_seconds, way_seconds
 from skygain.planners.search.reach import target_cells
 from skygain.planners.search.volatility import volatility
@@ -40,6 +40,8 @@ _ROUNDS = 2
 """so often tours are found, the second time with what their legs really take"""
 _SLACK_S = 4.0
 """seconds of battery that may be left unused"""
+_WORTH = 0.05
+"""a detour has to teach at least this share, per second, of what the tours teach so far"""
 _TRIED = 24
 """candidates whose gain is computed exactly before one is taken"""
 
@@ -120,9 +122,7 @@ class Lessons:
             side += 1
             square = field.cells // side
             _, first = np.unique(square[:, 0] * weight.shape[1] + square[:, 1], return_index=True)
-            thinned = replace(
-                field, cells=field.cells[first], noise_db2=field.noise_db2[first]
-            )
+            thinned = replace(field, cells=field.cells[first], noise_db2=field.noise_db2[first])
         source = thinned.conditioned(np.float32)
         white = source.whitened(np.concatenate([sites, targets]))
         mine, theirs = white[:, : len(sites)], white[:, len(sites) :]
@@ -207,6 +207,7 @@ def plan_tours(
             range(n + k, n + 2 * k),
             left,
             speed,
+            site.request.separation_m,
             np.array([one.heading for one in starts]),
             streets.sites_at(theirs),
         )
@@ -221,7 +222,7 @@ def plan_tours(
             # what is found with more time is better, what does not fit is not
             found[i] = flights[i]
         told(min(round_ + 1, _ROUNDS), _ROUNDS)
-        if ((over <= 0) & (over > -_SLACK_S)).all() or round_ + 1 >= _ROUNDS and all(found):
+        if ((over <= 0) & (over > -_SLACK_S)).all() or (round_ + 1 >= _ROUNDS and all(found)):
             break
         left = left - over - np.where(over > 0, 1.0, 0.0)
     return found
@@ -250,6 +251,7 @@ def find_tours(
     homes: Sequence[int],
     seconds: Sequence[float],
     speed_mps: float,
+    apart_m: float,
     headings: NDArray[np.float64] | None = None,
     known: NDArray[np.int64] | None = None,
 ) -> list[Tour]:
@@ -262,6 +264,7 @@ def find_tours(
         homes: place at which each ends.
         seconds: that each may fly, without climb and landing.
         speed_mps: along the legs.
+        apart_m: separation; where another's way is nearer than that, time counts double.
         headings: ``[uav, (x, y)]`` unit vectors in which they come; zero for those at rest.
         known: numbers of sites that are read by others anyway.
     """
@@ -271,26 +274,34 @@ def find_tours(
     theirs = np.empty(0, dtype=np.int64) if known is None else known
     took = [search.seconds(tour, way) for tour, way in zip(tours, come, strict=True)]
 
-    def begin() -> None:
-        lessons.begin(np.union1d(theirs, search.read(tours)))
+    def begin(before: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+        now = np.union1d(theirs, search.read(tours))
+        if before is not None and np.isin(before, now).all():
+            lessons.plan(now)
+        else:
+            lessons.begin(now)
+        return now
 
-    begin()
-    open_ = [t <= s for t, s in zip(took, seconds, strict=True)]
-    while any(open_):
-        best = None
-        for u in np.flatnonzero(open_):
-            left_s, least = seconds[u] - took[u], best[0] if best else 0.0
-            found = search.best(tours[u], come[u], left_s, least)
-            if found is None:
-                continue
-            if best is None or found[0] > best[0]:
-                best = (found[0], int(u), found[1], found[2])
-        if best is None:
-            break
-        _, u, position, place = best
+    planned = begin()
+    crowds = search.crowds(homes, apart_m)
+    gained, spent = 0.0, 0.0
+    left = np.array([s - t for t, s in zip(took, seconds, strict=True)])
+    while (left > 0).any():
+        # whoever has most time left is next, so that all are used and each gets its own part
+        u = int(left.argmax())
+        crowded = crowds[:, search.read([t for v, t in enumerate(tours) if v != u])].any(axis=1)
+        least = _WORTH * gained / max(spent, 1.0)
+        found = search.best(tours[u], come[u], float(left[u]), least, crowded)
+        if found is None:
+            left[u] = -np.inf
+            continue
+        rate, position, place = found
         tours[u].insert(position, place)
-        took[u] = search.seconds(tours[u], come[u])
-        begin()
+        before, took[u] = took[u], search.seconds(tours[u], come[u])
+        left[u] = seconds[u] - took[u]
+        gained += rate * (took[u] - before)
+        spent += took[u] - before
+        planned = begin(planned)
     return [Tour(tuple(t), s) for t, s in zip(tours, took, strict=True)]
 
 
@@ -319,15 +330,30 @@ class _Search:
         """Sites read on tours."""
         found = np.zeros(len(self.lessons.among), dtype=bool)
         for tour in tours:
-            for a, b in zip(tour[:-1], tour[1:], strict=True):
+            for a, b in pairwise(tour):
                 found |= self.streets.reads(a)[b]
         return np.flatnonzero(found)
 
+    def crowds(self, homes: Sequence[int], apart_m: float) -> NDArray[np.bool_]:
+        """``[s, s]`` sites nearer than ``apart_m`` to each other; none near homes, where all have
+        to pass."""
+        xy = self.streets.space.grid.xy_m(self.streets.sites)
+        near = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) < apart_m
+        pads = self.streets.xy_m[list(homes)]
+        home = np.hypot(*(xy[:, None] - pads[None]).transpose(2, 0, 1)).min(axis=1) < 2 * apart_m
+        near[home] = False
+        return near
+
     def best(
-        self, tour: Sequence[int], come: NDArray[np.float64], left_s: float, least: float
+        self,
+        tour: Sequence[int],
+        come: NDArray[np.float64],
+        left_s: float,
+        least: float,
+        crowded: NDArray[np.bool_],
     ) -> tuple[float, int, int] | None:
         """Gain per second, position and place of the best detour of a tour, if any is better than
-        ``least``."""
+        ``least``; the time at ``crowded[s]`` sites counts double."""
         single = self.lessons.single
         ends = np.array(tour)
         one, other = ends[:-1], ends[1:]
@@ -338,8 +364,15 @@ class _Search:
         reads = np.stack(
             [self.streets.reads(a) | self.streets.reads(b) for a, b in zip(one, other, strict=True)]
         )
-        rate = (reads @ single) / more
-        rate[more > left_s] = 0.0
+        fits = more <= left_s
+        beside = np.stack(
+            [self.streets.reads(a)[b] & crowded for a, b in zip(one, other, strict=True)]
+        )
+        site_s = SITE_CELLS * self.streets.space.grid.spacing_m / self.speed
+        more = more + site_s * np.maximum(
+            (reads & crowded).sum(axis=2) - beside.sum(axis=1)[:, None], 0
+        )
+        rate = np.where(fits, (reads @ single) / more, 0.0)
         order = np.argsort(-rate, axis=None)[:_TRIED]
         best, found = least, None
         for flat in order:
@@ -356,6 +389,7 @@ class _Search:
         self, come: NDArray[np.float64], one: NDArray[np.int64], other: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """``[position, place]`` seconds that a detour adds at corners."""
+
         def cost(first, second):  # type: ignore[no-untyped-def]
             return corner_seconds((first * second).sum(axis=-1), self.speed)
 
