@@ -38,6 +38,8 @@ _BEND_CELLS = 2.0
 """cells that a leg may lie off the places it was planned by"""
 _ROUNDS = 2
 """so often tours are found, the second time with what their legs really take"""
+_ENDED_S = 15.0
+"""a tour with more time left than this ended for want of lessons"""
 _SLACK_S = 4.0
 """seconds of battery that may be left unused"""
 _WORTH = 0.05
@@ -222,7 +224,10 @@ def plan_tours(
             # what is found with more time is better, what does not fit is not
             found[i] = flights[i]
         told(min(round_ + 1, _ROUNDS), _ROUNDS)
-        if ((over <= 0) & (over > -_SLACK_S)).all() or (round_ + 1 >= _ROUNDS and all(found)):
+        # who ended with time left found nothing worth it
+        ended = np.array([left_s - t.seconds for left_s, t in zip(left, tours, strict=True)])
+        done = (over <= 0) & ((over > -_SLACK_S) | (ended > _ENDED_S))
+        if done.all() or (round_ + 1 >= _ROUNDS and all(found)):
             break
         left = left - over - np.where(over > 0, 1.0, 0.0)
     return found
