@@ -13,7 +13,7 @@ from skygain.ground.errors import InputError
 from skygain.missions.planning import check_battery, plan_sortie
 from skygain.missions.site import open_site
 from skygain.missions.sortie import Sortie, corners, flight_along
-from skygain.missions.timing import Timeline, leg_seconds, nearest, timeline, way_seconds
+from skygain.missions.timing import Timeline, nearest, timeline, way_seconds
 from skygain.survey.methods import planner, predictor
 from tests.missions.town import (
     BLOCKS,
@@ -89,8 +89,10 @@ def test_flights_that_cross_are_told_and_those_far_apart_are_not() -> None:
 
 def test_a_leg_takes_what_physics_says() -> None:
     """Two seconds for a metre at 1 m/s² up and down; a long one is flown at its speed."""
-    assert leg_seconds(np.array([2.0]), 5.0)[0] == pytest.approx(2.0)
-    assert leg_seconds(np.array([100.0]), 5.0)[0] == pytest.approx(100 / 5 + 5 / 2)
+    for length_m, seconds in ((2.0, 2.0), (100.0, 100 / 5 + 5 / 2)):
+        assert way_seconds(np.array([[0.0, 0, 20], [length_m, 0, 20]]), 5.0) == pytest.approx(
+            seconds
+        )
     line = timeline(np.array([[0.0, 0, 20], [100, 0, 20]]), 0.0, 5.0, delay_s=7.0)
     assert line.landed_s == pytest.approx(7 + 20 / 2 + 22.5 + 20)
     speed = np.linalg.norm(np.diff(line.ticks_m, axis=0), axis=1) / 0.25

@@ -12,13 +12,14 @@ from skygain.fields.planning import planning_field
 from skygain.measurements import Measurements
 from skygain.missions.clearance import straightened
 from skygain.missions.imagined import ahead_of
+from skygain.missions.lessons import Lessons
 from skygain.missions.planning import plan_sortie
 from skygain.missions.rehearsal import rehearse
 from skygain.missions.site import open_site
 from skygain.missions.sortie import Flight, Sortie, corners
 from skygain.missions.streets import Streets
 from skygain.missions.timing import ROUNDING_M
-from skygain.missions.tours import Lessons, find_tours
+from skygain.missions.tours import find_tours
 from skygain.survey.methods import planner, predictor
 from tests.missions.test_planning import AREA, SOLID, ZONE
 from tests.missions.town import mission_request

@@ -22,7 +22,6 @@ __all__ = [
     "clear_delays",
     "corner_seconds",
     "first_conflict",
-    "leg_seconds",
     "nearest",
     "sharp_corners",
     "timeline",
@@ -76,14 +75,6 @@ class Timeline:
     def air_s(self) -> float:
         """Seconds in the air."""
         return float(np.isfinite(self.ticks_m[:, 0]).sum() * TICK_S)
-
-
-def leg_seconds(length_m: NDArray[np.float64], speed_mps: float) -> NDArray[np.float64]:
-    """Time for legs that begin and end at rest."""
-    length = np.asarray(length_m, dtype=float)
-    rush = speed_mps**2 / ACCELERATION_MPS2
-    slow = 2 * np.sqrt(length / ACCELERATION_MPS2)
-    return np.where(length >= rush, length / speed_mps + speed_mps / ACCELERATION_MPS2, slow)
 
 
 def sharp_corners(
