@@ -189,7 +189,7 @@ def test_two_builds_of_one_file_do_not_meet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        ({"preset": "huge"}, "known: paper, small, tiny, sample"),
+        ({"preset": "huge"}, "known: paper, light, small, tiny"),
         ({"preset": "tiny", "propagation": "magic"}, "known"),
         ({"preset": "tiny", "workers": 0}, "1 or more"),
     ],
