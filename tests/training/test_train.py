@@ -72,6 +72,20 @@ def test_a_run_can_start_from_the_weights_of_another(tmp_path):
     assert torch.equal(one["average.head.weight"], two["network.head.weight"])
 
 
+@pytest.mark.parametrize("average_decay", [0.0, 0.9])
+def test_a_finished_run_keeps_a_share_of_what_it_began_from(tmp_path, average_decay):
+    first = train_predictor("operator", SAMPLE, tmp_path / "a", total_steps=2, **QUICK)
+    begun = {"start_from": str(first.checkpoint), "average_decay": average_decay, **QUICK}
+    alone = train_predictor("operator", SAMPLE, tmp_path / "alone", finish=4, **begun)
+    for _ in range(2):  # the second call finds it done
+        mixed = train_predictor("operator", SAMPLE, tmp_path / "mixed", finish=4, keep=0.3, **begun)
+    old, new, mean = (
+        load_checkpoint(run.checkpoint)[0]["average.head.weight"] for run in (first, alone, mixed)
+    )
+    torch.testing.assert_close(mean, 0.3 * old + 0.7 * new)
+    assert mixed.scores != alone.scores
+
+
 def test_learning_lowers_the_loss_on_what_it_trains_on():
     links = load_links(SAMPLE, "T1")
     task = OperatorTask(side=32, net=SMALL)

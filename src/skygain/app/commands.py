@@ -46,8 +46,9 @@ def run_predictor(request: TrainPredictorRequest, progress: Progress) -> str:
     from skygain.training.run import stop_runs
 
     changes = _changes(request)
-    if request.finish is not None:
-        changes["finish"] = request.finish
+    for name in ("finish", "keep"):
+        if getattr(request, name) is not None:
+            changes[name] = getattr(request, name)
     with stopping(stop_runs, STOPPING):
         result = train_predictor(request.recipe, request.data, request.out, report=_say, **changes)
     return (

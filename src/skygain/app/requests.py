@@ -380,11 +380,20 @@ class TrainPredictorRequest(TrainRequest):
     """data set: T1 trains (T3 the judge), T2 validates; may be given again to add cities"""
     finish: int | None = None
     """end the run: the learning rate falls to 0 over so many more steps"""
+    keep: float | None = None
+    """share of the weights begun from in those that the run ends with, 0 to 1; needs start_from and
+    finish"""
 
     def check(self) -> None:
-        """A run ends in at least one step."""
+        """A run ends in at least one step, and keeps what it has."""
         if self.finish is not None and self.finish < 1:
             raise InputError(f"`finish` must be 1 step or more, got {self.finish}")
+        if self.keep is None:
+            return
+        if not 0 <= self.keep <= 1:
+            raise InputError(f"`keep` must be from 0 to 1, got {self.keep:g}")
+        if self.finish is None or not self.start_from:
+            raise InputError("`keep` needs weights to keep, `start_from`, and an end, `finish`")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,6 +81,9 @@ class TrainConfig:
     start_from: str = ""
     """name or file of the weights, or a run's checkpoint, that this run starts from (only where it
     has no checkpoint of its own)"""
+    keep: float = 0.0
+    """share of the weights of ``start_from`` in those that a run with ``finish`` ends with: the
+    mean of old and new weights is often better on data unlike the new (Wortsman et al., 2022)"""
 
 
 def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
@@ -106,11 +109,9 @@ def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
     )
     average = {k: v.clone() for k, v in network.state_dict().items() if v.is_floating_point()}
     parts: dict[str, Part] = {"network": network, "average": average, "optimiser": optimiser}
-    run = Run(config.out, config, parts, report, finish=None)
+    run = Run(config.out, config, parts, report, finish=None, kept=0.0)
     if config.start_from and not run.resumed:
-        kept = runs_folder() / config.start_from / "checkpoint.safetensors"
-        # finer than the weights exported from it
-        load_network(network, kept if kept.exists() else config.start_from, adapt=True)
+        _start(network, config)
         _follow(average, network, 0.0)
     if run.state["finish"] is None and config.finish:
         run.state["finish"] = [run.step, config.finish]
@@ -126,7 +127,7 @@ def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
     losses: list[Tensor] = []
 
     def save() -> None:
-        if decay == 0:
+        if decay == 0 and not run.state["kept"]:
             _follow(average, network, 0.0)
         run.save()
 
@@ -170,7 +171,22 @@ def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
             if run.over:
                 break
     save()
+    if finish is not None and run.step == end and config.keep > run.state["kept"] == 0.0:
+        _start(trial, config)
+        _follow(average, trial, 1.0 - config.keep)
+        trial.load_state_dict(average, strict=False)
+        run.scores = task.scores(trial, validation, contexts)
+        run.state["kept"] = config.keep
+        run.record(samples=run.step * config.batch_size, kept=config.keep, **run.scores)
+        run.save()
     return run.result(run.step * config.batch_size)
+
+
+def _start(network: nn.Module, config: TrainConfig) -> None:
+    """Fill ``network`` with what the run starts from."""
+    kept = runs_folder() / config.start_from / "checkpoint.safetensors"
+    # finer than the weights exported from it
+    load_network(network, kept if kept.exists() else config.start_from, adapt=True)
 
 
 def _learning_rate(config: TrainConfig, finish: list[int] | None, step: int) -> float:
