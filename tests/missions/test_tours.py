@@ -116,7 +116,7 @@ def test_lessons_are_what_gaussian_conditioning_says(site, streets: Streets) -> 
 def test_tours_are_closed_and_in_time(site, streets: Streets) -> None:
     belief = ahead_of(predictor("kriging-blind").begin(site.scenario))
     lessons = Lessons.about(belief, streets.sites, 1.0)
-    tours = find_tours(streets, lessons, [0, 1], [0, 1], [60.0, 90.0], 5.0, 12.0)
+    tours = find_tours(streets, lessons, [0, 1], [0, 1], [60.0, 90.0], 5.0)
     for tour, place, most in zip(tours, (0, 1), (60.0, 90.0), strict=True):
         assert (tour.stops[0], tour.stops[-1]) == (place, place)
         assert 0.5 * most < tour.seconds <= most

@@ -21,7 +21,7 @@ from skygain.missions.clearance import straightened
 from skygain.missions.lessons import Lessons
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, corners, flight_over
-from skygain.missions.streets import SITE_CELLS, Streets
+from skygain.missions.streets import Streets
 from skygain.missions.timing import ACCELERATION_MPS2, corner_seconds, way_seconds
 from skygain.predictors.base import Belief
 
@@ -120,7 +120,6 @@ def plan_tours(
             range(n + k, n + 2 * k),
             left,
             speed,
-            site.request.separation_m,
             np.array([one.heading for one in starts]),
             streets.sites_at(theirs),
         )
@@ -167,7 +166,6 @@ def find_tours(
     homes: Sequence[int],
     seconds: Sequence[float],
     speed_mps: float,
-    apart_m: float,
     headings: NDArray[np.float64] | None = None,
     known: NDArray[np.int64] | None = None,
 ) -> list[Tour]:
@@ -180,7 +178,6 @@ def find_tours(
         homes: place at which each ends.
         seconds: that each may fly, without climb and landing.
         speed_mps: along the legs.
-        apart_m: separation; where another's way is nearer than that, time counts double.
         headings: ``[uav, (x, y)]`` unit vectors in which they come; zero for those at rest.
         known: numbers of sites that are read by others anyway.
     """
@@ -199,15 +196,13 @@ def find_tours(
         return now
 
     planned = begin()
-    crowds = search.crowds(homes, apart_m)
     gained, spent = 0.0, 0.0
     left = np.array([s - t for t, s in zip(took, seconds, strict=True)])
     while (left > 0).any():
         # whoever has most time left is next, so that all are used and each gets its own part
         u = int(left.argmax())
-        crowded = crowds[:, search.read([t for v, t in enumerate(tours) if v != u])].any(axis=1)
         least = _WORTH * gained / max(spent, 1.0)
-        found = search.best(tours[u], come[u], float(left[u]), least, crowded)
+        found = search.best(tours[u], come[u], float(left[u]), least)
         if found is None:
             left[u] = -np.inf
             continue
@@ -250,26 +245,15 @@ class _Search:
                 found |= self.streets.reads(a)[b]
         return np.flatnonzero(found)
 
-    def crowds(self, homes: Sequence[int], apart_m: float) -> NDArray[np.bool_]:
-        """``[s, s]`` sites nearer than ``apart_m`` to each other; none near homes, where all have
-        to pass."""
-        xy = self.streets.space.grid.xy_m(self.streets.sites)
-        near = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) < apart_m
-        pads = self.streets.xy_m[list(homes)]
-        home = np.hypot(*(xy[:, None] - pads[None]).transpose(2, 0, 1)).min(axis=1) < 2 * apart_m
-        near[home] = False
-        return near
-
     def best(
         self,
         tour: Sequence[int],
         come: NDArray[np.float64],
         left_s: float,
         least: float,
-        crowded: NDArray[np.bool_],
     ) -> tuple[float, int, int] | None:
         """Gain per second, position and place of the best detour of a tour, if any is better than
-        ``least``; the time at ``crowded[s]`` sites counts double."""
+        ``least``."""
         single = self.lessons.single
         ends = np.array(tour)
         one, other = ends[:-1], ends[1:]
@@ -281,13 +265,6 @@ class _Search:
             [self.streets.reads(a) | self.streets.reads(b) for a, b in zip(one, other, strict=True)]
         )
         fits = more <= left_s
-        beside = np.stack(
-            [self.streets.reads(a)[b] & crowded for a, b in zip(one, other, strict=True)]
-        )
-        site_s = SITE_CELLS * self.streets.space.grid.spacing_m / self.speed
-        more = more + site_s * np.maximum(
-            (reads & crowded).sum(axis=2) - beside.sum(axis=1)[:, None], 0
-        )
         rate = np.where(fits, (reads @ single) / more, 0.0)
         order = np.argsort(-rate, axis=None)[:_TRIED]
         best, found = least, None
