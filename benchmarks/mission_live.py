@@ -122,7 +122,7 @@ def senders(folder: Path, port: int, token: str, vehicles: int, rate: float) -> 
     vehicles=Option(3, "vehicles"),
     rate=Option(200.0, "readings a second of each; 10 Hz at 20 times the pace"),
     seconds=Option(30.0, "seconds; 10 minutes at 20 times the pace"),
-    lot=Option(10, "readings of one post"),
+    lot=Option(50, "readings of one post"),
 )
 def mission_readings_in(run: Run) -> list[Table]:
     """Readings that companion computers post to a mission's server, all at once: what is kept, how
@@ -204,7 +204,7 @@ def mission_page(run: Run) -> list[Table]:
             for thread in threads:
                 thread.join()
             sent = sum(s.sent for s in fleet)
-            page.wait_for_function(f"Number(document.body.dataset.drawn) === {sent}")
+            page.wait_for_selector(f"body[data-drawn='{sent}']")
             seen: list[Any] = page.evaluate("window.lags")
             maps = page.evaluate("window.maps")
             browser.close()

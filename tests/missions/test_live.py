@@ -16,6 +16,7 @@ from skygain.app.progress import SILENT
 from skygain.ground.errors import InputError
 from skygain.missions.commands import run_fly
 from skygain.missions.folder import Mission, made
+from skygain.missions.journal import Reading
 from skygain.missions.live import LiveFlight, LiveSettings
 from skygain.missions.requests import MissionFlyRequest
 from skygain.missions.vehicle_link import VehicleLink
@@ -107,6 +108,29 @@ def test_a_dry_run_sends_nothing(folder, fleet, sortie) -> None:
     assert told.count("return and land") == 3
     assert told.count("fly to") == sum(len(f.route_m) - 1 for f in sortie.flights)
     assert not any(vehicle.uploads for vehicle in fleet)
+
+
+def test_readings_posted_on_the_ground_do_not_end_the_sortie(folder, fleet) -> None:
+    with Mission.opened(folder) as mission:
+        one = Reading(49.9977, 9.0101, -80.0, None, False, time.time(), 1, 0, "posted, UAV 0")
+        mission.journal.take_in("ingested", {"file": "posted", "quantity": "power"}, [one])
+    links = tuple(Path(f"udpin:127.0.0.1:{port}") for port in ports(fleet))
+    assert "items" in run_fly(MissionFlyRequest(folder=folder, dry_run=True), SILENT)
+    with Mission.opened(folder) as mission:
+        mission.journal.add("led", {"sortie": 1, "zero_at": time.time(), "pace": 1.0})
+    # a leader that died before anybody was in the air: the same command begins again
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("builtins.input", lambda question: "no")
+        told = run_fly(MissionFlyRequest(folder=folder, link=links, arm=True), SILENT)
+    assert told == "uploaded; nothing was armed"
+    with Mission.opened(folder) as mission:
+        mission.journal.add("airborne", {"sortie": 1, "uav": 0, "began_s": 0.0, "up_s": 0.0})
+    told = run_fly(MissionFlyRequest(folder=folder, link=links, arm=True), SILENT)
+    assert "has been flown" in told
+    with Mission.opened(folder) as mission:
+        assert mission.journal.events()[-1]["kind"] == "flown"
+    with pytest.raises(InputError, match="waits to be flown"):
+        run_fly(MissionFlyRequest(folder=folder, dry_run=True), SILENT)
 
 
 def test_links_are_counted_and_places_checked(folder, site, sortie, fleet) -> None:

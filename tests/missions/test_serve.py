@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
 import socket
 import threading
@@ -195,7 +194,10 @@ def test_a_browser_loads_scrubs_switches_drops_and_follows(
         before = page.evaluate(pixels)
         replanned(folder, site, sortie)  # a live flight sends a vehicle a new way
         page.wait_for_selector("#moment-text:has-text('UAV 0 has a new plan')", timeout=60_000)
-        page.wait_for_function(f"{pixels} !== {json.dumps(before)}")
+        until = time.monotonic() + 60
+        while page.evaluate(pixels) == before and time.monotonic() < until:
+            page.wait_for_timeout(100)
+        assert page.evaluate(pixels) != before
         page.evaluate(DROP, ["bad.csv", "no,log\n1,2\n"])
         page.wait_for_selector("#told.bad")
         assert not [text for text in wrong if "400" not in text]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = ["run_fly", "run_ingest", "run_new", "run_plan", "run_serve", "run_status"]
 
+from itertools import takewhile
 from typing import TYPE_CHECKING, Protocol
 
 from skygain.ground.declared import part
@@ -230,7 +231,7 @@ def run_fly(request: MissionFlyRequest, progress: Progress) -> str:
         progress.phase("reading the map")
         site = mission.site
         led = led_sortie(mission)
-        sortie = led or open_sortie(mission)
+        sortie = led or open_sortie(mission) or _posted_only(mission)
         if sortie is None:
             raise InputError(
                 f"no sortie of {request.folder} waits to be flown; plan one with: skygain mission "
@@ -265,6 +266,16 @@ def led_sortie(mission: Mission) -> Sortie | None:
     return mission.sorties()[-1]
 
 
+def _posted_only(mission: Mission) -> Sortie | None:
+    """The newest sortie, if all that was read since it was planned was posted: a companion computer
+    posts before the take-off too."""
+    events = mission.journal.events("planned", "ingested", "led")
+    since = list(takewhile(lambda event: event["kind"] != "planned", reversed(events)))
+    if len(since) == len(events) or any(event.get("file") != "posted" for event in since):
+        return None
+    return mission.sorties()[-1]
+
+
 def _flown_live(
     mission: Mission,
     sortie: Sortie,
@@ -276,7 +287,6 @@ def _flown_live(
     import contextlib
 
     from skygain.missions.live import LiveFlight, LiveSettings
-    from skygain.missions.next_sortie import open_sortie
     from skygain.missions.vehicle_link import VehicleLink
 
     with contextlib.ExitStack() as stack:
@@ -298,7 +308,7 @@ def _flown_live(
         else:
             for vehicle, flight in zip(vehicles, sortie.flights, strict=True):
                 _check_place(mission, vehicle, flight, vehicle in silent)
-            if led and open_sortie(mission) is None:
+            if led and mission.journal.events("planned", "airborne")[-1]["kind"] == "airborne":
                 mission.journal.add("flown", {"sortie": sortie.number, "states": {}})
                 return f"sortie {sortie.number} has been flown, and every vehicle is on the ground"
         progress.phase("uploading")

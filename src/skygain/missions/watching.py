@@ -281,7 +281,7 @@ class _Told:
             self._way(at, number, flight)
         for k in range(_PLAN_MOMENTS + 1):
             share = k / _PLAN_MOMENTS
-            text = f"sortie {number} as planned, {share:.0%} of its time"
+            text = f"sortie {number} as planned, {100 * share:.0f} % of its time"
             self._moment(at, "planned", text, sortie=number, share_s=round(share * duration_s, 1))
 
     def _way(self, at: int, sortie: int, flight: Flight) -> None:
