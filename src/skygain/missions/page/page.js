@@ -368,10 +368,10 @@ async function readStory() {
 async function readReadings() {
   const found = await json(`/api/readings?after=${heard.level.length}`);
   for (const key of ["xy", "level", "uav"]) for (const one of found[key]) heard[key].push(one);
-  document.body.dataset.readings = heard.level.length;
 }
 
 function head() {
+  document.body.dataset.readings = heard.level.length;
   const n = story.sorties.length;
   $("lede").textContent =
     `${place.altitude}, ${place.middle.map((v) => v.toFixed(5)).join(", ")}: ` +
