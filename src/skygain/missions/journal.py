@@ -183,7 +183,8 @@ class Journal:
         # readings are never deleted, so the ids of SQLite count them
         asked = f"SELECT {names} FROM readings WHERE id > ? ORDER BY id"
         rows = self._db.execute(asked, (after,))
-        return [Reading(*row[:4], bool(row[4]), *row[5:]) for row in rows]
+        typed = ([*row[:4], bool(row[4]), *row[5:]] for row in rows)
+        return [Reading(*values) for values in typed]
 
     def reading_events(self, after: int = 0) -> list[int]:
         """The number of the event that each reading came with, in the order of `readings`."""
