@@ -198,11 +198,11 @@ def fly(
     for line in notes:
         progress.note(f"  {line}")
     _need_transmitter(scenario, predictor, method)
-    flown = {"uavs": request.uavs, "quantity": setting.quantity}
     name, _ = parse_spec(method.predictor.removesuffix("+tx"))
+    uavs, quantity = request.uavs, setting.quantity
     for unlike in (
-        predictor.outside_training(scenario, **flown),
-        planner.outside_training(name, **flown),
+        predictor.outside_training(scenario, uavs=uavs, quantity=quantity),
+        planner.outside_training(name, uavs=uavs, quantity=quantity),
     ):
         if unlike:
             progress.note(unlike)
