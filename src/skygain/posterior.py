@@ -13,6 +13,7 @@ from __future__ import annotations
 
 __all__ = ["GaussianProcessPosterior", "HasStationaryPrior", "JointPosterior", "Posterior"]
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -111,7 +112,7 @@ class Posterior(Shown):
         cells = np.asarray(cells, dtype=np.int64)
         with np.errstate(divide="ignore"):
             return float(
-                0.5 * np.sum(np.log(2 * np.pi * np.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
+                0.5 * np.sum(np.log(2 * np.pi * math.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
             )
 
 
@@ -139,7 +140,7 @@ class JointPosterior(Posterior):
     def entropy(self, cells: ArrayLike) -> float:
         """Joint differential entropy in nats of the gains at distinct ``cells``: ½ log det(2πe Σ);
         −inf if Σ is singular."""
-        sign, log_det = np.linalg.slogdet(2 * np.pi * np.e * self.covariance(cells))
+        sign, log_det = np.linalg.slogdet(2 * np.pi * math.e * self.covariance(cells))
         return float(0.5 * log_det) if sign > 0 else -np.inf
 
 

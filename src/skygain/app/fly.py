@@ -199,10 +199,10 @@ def fly(
         progress.note(f"  {line}")
     _need_transmitter(scenario, predictor, method)
     name, _ = parse_spec(method.predictor.removesuffix("+tx"))
-    uavs, quantity = request.uavs, setting.quantity
+    swarm_size, quantity = request.uavs, setting.quantity
     for unlike in (
-        predictor.outside_training(scenario, uavs=uavs, quantity=quantity),
-        planner.outside_training(name, uavs=uavs, quantity=quantity),
+        predictor.outside_training(scenario, uavs=swarm_size, quantity=quantity),
+        planner.outside_training(name, uavs=swarm_size, quantity=quantity),
     ):
         if unlike:
             progress.note(unlike)

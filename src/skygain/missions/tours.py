@@ -118,7 +118,7 @@ def plan_tours(
             lessons,
             range(n, n + k),
             range(n + k, n + 2 * k),
-            left,
+            left.tolist(),
             speed,
             np.array([one.heading for one in starts]),
             streets.sites_at(theirs),

@@ -33,7 +33,7 @@ KNOWN_SHARE = 1e-4
 
 
 def target_cells(
-    weight: NDArray[np.float64], centre: Cells, span: float, most: int
+    weight: NDArray[np.float64], centre: Cells | NDArray[np.float64], span: float, most: int
 ) -> tuple[Cells, Floats]:
     """Up to ``most`` cells ``[x, (row, col)]`` that stand for the weighted cells within ``span`` of
     ``centre``, and their weights."""
