@@ -112,7 +112,8 @@ class Posterior(Shown):
         cells = np.asarray(cells, dtype=np.int64)
         with np.errstate(divide="ignore"):
             return float(
-                0.5 * np.sum(np.log(2 * np.pi * math.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
+                0.5
+                * np.sum(np.log(2 * np.pi * math.e * self.variance_db2[cells[:, 0], cells[:, 1]]))
             )
 
 
