@@ -19,7 +19,8 @@ import pytest
 pytest.importorskip("starlette")
 
 from skygain.missions.folder import Mission, made
-from skygain.missions.journal import Reading
+from skygain.missions.journal import POSTED, Reading
+from skygain.missions.next_sortie import open_sortie
 from skygain.missions.posting import BusyError, Posts
 from tests.missions.test_serve import PATIENT, TOKEN, WRITER, served
 from tests.missions.town import SOUTH_M, TO_DEGREES, WEST_M, mission_request
@@ -163,6 +164,21 @@ def test_what_waits_is_bounded(folder) -> None:
     with pytest.raises(BusyError):
         posts.add(some[3:])
     assert len(kept(folder)) == 4
+
+
+def test_posts_before_the_take_off_leave_the_sortie_open(folder, sortie) -> None:
+    with Mission.opened(folder) as mission:
+        places = mission.site.latlon(mission.site.grid.xy_m(sortie.cells))
+    some = [
+        Reading(lat, lon, -80.0, None, False, 1e9 + k, 1, 0, POSTED)
+        for k, (lat, lon) in enumerate(places.tolist())
+    ]
+    early = len(some) // 20
+    for first, last, stays_open in ((0, early, True), (early, len(some), False)):
+        with Posts(folder / "journal.sqlite") as posts:
+            assert posts.add(some[first:last]).result(timeout=10) == last - first
+        with Mission.opened(folder) as mission:
+            assert (open_sortie(mission) is not None) == stays_open
 
 
 def test_the_client_of_the_docs_loses_nothing(address, folder) -> None:

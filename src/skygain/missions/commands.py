@@ -269,9 +269,11 @@ def led_sortie(mission: Mission) -> Sortie | None:
 def _posted_only(mission: Mission) -> Sortie | None:
     """The newest sortie, if all that was read since it was planned was posted: a companion computer
     posts before the take-off too."""
+    from skygain.missions.journal import POSTED
+
     events = mission.journal.events("planned", "ingested", "led")
     since = list(takewhile(lambda event: event["kind"] != "planned", reversed(events)))
-    if len(since) == len(events) or any(event.get("file") != "posted" for event in since):
+    if len(since) == len(events) or any(event.get("file") != POSTED for event in since):
         return None
     return mission.sorties()[-1]
 

@@ -7,7 +7,7 @@ the process next. A reading is known by its content, so the same one given twice
 
 from __future__ import annotations
 
-__all__ = ["Journal", "Reading", "Stream"]
+__all__ = ["POSTED", "Journal", "Reading", "Stream"]
 
 import contextlib
 import hashlib
@@ -22,6 +22,9 @@ from typing import Any
 
 from skygain.ground.errors import InputError
 from skygain.ground.strict_json import plain
+
+POSTED = "posted"
+"""the file that readings come from which a companion computer posted"""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS events (

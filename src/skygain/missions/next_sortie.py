@@ -12,22 +12,35 @@ from numpy.typing import NDArray
 from skygain.ground.errors import InputError
 from skygain.missions.folder import Mission
 from skygain.missions.imagined import ahead_of, with_expected
+from skygain.missions.journal import POSTED
 from skygain.missions.planning import plan_sortie
 from skygain.missions.site import Site
 from skygain.missions.sortie import Sortie
 from skygain.missions.state import known_belief, readings_so_far
 
 _FEWEST = 4
+_FLOWN_SHARE = 0.1
 
 
 def open_sortie(mission: Mission) -> Sortie | None:
-    """The newest sortie, if nothing was read since it was planned."""
+    """The newest sortie, if it was not flown since it was planned.
+
+    A companion computer posts before the take-off too, so readings that were posted count as a
+    flight once they hold a tenth of the cells planned.
+    """
     sorties = mission.sorties()
     if not sorties:
         return None
-    planned = mission.journal.events("planned")[-1]["id"]
-    read = [event["id"] for event in mission.journal.events("ingested")]
-    return sorties[-1] if not read or max(read) < planned else None
+    newest, planned = sorties[-1], mission.journal.events("planned")[-1]["id"]
+    read = [event for event in mission.journal.events("ingested") if event["id"] > planned]
+    if any(event.get("file") != POSTED for event in read):
+        return None
+    if read:
+        site = mission.site
+        seen = readings_so_far(site, mission.journal.readings()).visited(site.grid.shape)
+        if seen[newest.cells[:, 0], newest.cells[:, 1]].mean() >= _FLOWN_SHARE:
+            return None
+    return newest
 
 
 def next_sortie(

@@ -29,7 +29,7 @@ from skygain.grid import Grid
 from skygain.ground.errors import InputError, did_you_mean
 from skygain.missions.folder import Mission
 from skygain.missions.ingest import dated
-from skygain.missions.journal import Journal, Reading, Stream
+from skygain.missions.journal import POSTED, Journal, Reading, Stream
 from skygain.missions.site import Site
 from skygain.missions.state import quantity_of
 
@@ -257,7 +257,7 @@ class Posts:
 
     def _run(self) -> None:
         with Journal(self._path) as journal:
-            body = {"file": "posted", "quantity": "power", "matched": []}
+            body = {"file": POSTED, "quantity": "power", "matched": []}
             stream = Stream(journal, body)
             for lots in self._lots():
                 try:

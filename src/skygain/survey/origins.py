@@ -6,6 +6,7 @@ __all__ = ["method_files"]
 
 import dataclasses
 import inspect
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def _files(values: list[Any]) -> Iterator[Path]:
         elif dataclasses.is_dataclass(value) and not isinstance(value, type):
             yield from _files([getattr(value, field.name) for field in dataclasses.fields(value)])
             yield from _files(list(getattr(value, "methods", ())))  # what it is made of
-        if not type(value).__module__.startswith(("skygain.", "builtins", "pathlib")):
+        if type(value).__module__.partition(".")[0] not in {"skygain", *sys.stdlib_module_names}:
             source = inspect.getsourcefile(type(value))
             if source is not None:
                 yield Path(source)

@@ -89,6 +89,7 @@ def fly(
             crop=request.crop,
             seed=request.seed,
             workers=request.workers,
+            cluster=request.cluster,
             out=request.out / "rollouts" / name,
         )
         comparisons[name] = compare(asked, progress, watch_of(name))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from skygain.ground.declared import Request, named
+from skygain.ground.declared import named
 from skygain.ground.errors import InputError, did_you_mean
+from skygain.ground.executor import ClusterRequest
 
 NAMES = ("altitudes", "gain-bins", "delay", "cluster3", "spread3", "cluster5")
 """the figures"""
@@ -17,7 +18,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReproduceRequest(Request):
+class ReproduceRequest(ClusterRequest):
     """Fly and draw the figures of the paper, each beside its claims and whether they hold here.
 
     Examples:
