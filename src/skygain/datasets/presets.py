@@ -130,7 +130,7 @@ PRESETS = {
     config.name: config
     for config in (
         BuildConfig(name="paper", cities=(75, 25, 170, 30)),
-        BuildConfig(name="light", cities=(75, 25, 170, 30), max_sites=6),
+        BuildConfig(name="light", cities=(60, 25, 60, 30), max_sites=6),
         BuildConfig(name="small", cities=(12, 4, 8, 6), max_sites=6),
         BuildConfig(name="tiny", cities=(1, 1, 1, 1), max_sites=2, altitudes_m=(10.0,)),
         BuildConfig(name="sample", cities=(1, 1, 1, 4), max_sites=3),
@@ -150,15 +150,14 @@ PRESETS = {
         ),
     )
 }
-"""``paper`` is the evaluation protocol's data set, ``light`` has its cities with up to 6
-transmitters each, ``small`` serves to develop with, ``tiny`` to see that everything works;
-``sample`` is what ships inside the package; ``more-cities`` are training cities to add to another
-data set (10 m only), ``more-altitudes`` has the first 100 of them and 40
-cities of T3 at 20 and 30 m; ``more-kinds`` are 150 towns with European street patterns, centres,
-estates and suburbs in turn, ``more-scenes`` 40 parts of Sionna RT's scenes of real towns (needs
-the extra ``raytrace``);
-``large`` has maps of 256 × 256 cells for swarms of many UAVs,
-Gudmundson fields over cities of 10 × 10 blocks, and is built in seconds"""
+"""``paper`` is the evaluation protocol's data set, ``light`` has its test cities and a part of the
+others with up to 6 transmitters each, ``small`` serves to develop with, ``tiny`` to see that
+everything works; ``sample`` is what ships inside the package; ``more-cities`` are training cities
+to add to another data set (10 m only), ``more-altitudes`` has the first 100 of them and 40 cities
+of T3 at 20 and 30 m; ``more-kinds`` are 150 towns with European street patterns, centres, estates
+and suburbs in turn, ``more-scenes`` 40 parts of Sionna RT's scenes of real towns (needs the extra
+``raytrace``); ``large`` has maps of 256 × 256 cells for swarms of many UAVs, Gudmundson fields over
+cities of 10 × 10 blocks, and is built in seconds"""
 
 
 def preset_config(name: str) -> BuildConfig:
