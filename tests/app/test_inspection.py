@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from skygain.app.inspection import run_inspect
 from skygain.app.requests import InspectRequest
-from skygain.ground.errors import InputError
+from skygain.ground.errors import InputError, MissingExtraError
 
 pytest.importorskip("rasterio")
 pytest.importorskip("pyogrio")
@@ -67,6 +68,16 @@ def test_points_are_readings_not_buildings(tmp_path: Path) -> None:
     geopandas.GeoDataFrame(rows, geometry="geometry", crs=4326).to_file(tmp_path / "p.geojson")
     text = run_inspect(InspectRequest(file=str(tmp_path / "p.geojson")))
     assert "read as 9 readings" in text
+
+
+@pytest.mark.parametrize(("name", "package"), [("a.geojson", "pyogrio"), ("a.tif", "rasterio")])
+def test_a_package_that_is_not_there_is_asked_for_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str
+) -> None:
+    (tmp_path / name).write_bytes(b"{}")
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=f"{package}.*install it with"):
+        run_inspect(InspectRequest(file=str(tmp_path / name)))
 
 
 def test_nothing_is_refused() -> None:

@@ -13,7 +13,7 @@ from skygain.app.progress import SILENT, Progress
 from skygain.cities.inspection import holdings, inspected, picture, terminal_map
 from skygain.cities.reading import CityOptions
 from skygain.ground.declared import part
-from skygain.ground.errors import InputError
+from skygain.ground.errors import InputError, MissingExtraError
 from skygain.survey.requests import CityRequest, RecordingRequest
 
 if TYPE_CHECKING:
@@ -77,6 +77,8 @@ def _log(path: Path, request: InspectRequest) -> list[str]:
     held = column_lines(path, request.columns)
     try:
         recording = read_recording(str(path), **part(request, RecordingRequest))
+    except MissingExtraError:
+        raise  # nothing is wrong with the log
     except InputError as error:
         return [*held, f"it cannot be read as it stands: {error}"]
     unit = "dB of channel gain" if recording.quantity == "gain" else "dBm"

@@ -18,7 +18,7 @@ from skygain.cities.reading import CityOptions, Reading, existing_file
 from skygain.cities.vector import is_vector, open_layer
 from skygain.city import City
 from skygain.frames import vertical_datum
-from skygain.ground.errors import InputError, require
+from skygain.ground.errors import InputError, MissingExtraError, require
 
 _SHADES = " .:-=+*#%@"
 """from open ground to the highest roof"""
@@ -37,6 +37,8 @@ def inspected(
     lines = list(holdings(path)) if path.suffix else []
     try:
         reading = read_city(spec, options)
+    except MissingExtraError:
+        raise  # nothing is wrong with the file
     except InputError as error:
         if not lines:
             raise
@@ -70,6 +72,8 @@ def holdings(path: Path) -> Iterator[str]:
             yield from _bands(path)
         elif is_vector(path):
             yield from _layers(path)
+    except MissingExtraError:
+        raise
     except InputError as error:
         yield f"  {error}"
     # GDAL answers foreign bytes with a dozen kinds of error; here they are only told
