@@ -10,7 +10,7 @@ import torch
 from skygain.datasets.links import load_links
 from skygain.datasets.sample import SAMPLE
 from skygain.networks.operator.network import OperatorConfig
-from skygain.training.parallel import Shares
+from skygain.training.parallel import Shares, prefetched
 from skygain.training.tasks.base import OperatorTask
 from skygain.training.tasks.unets import DirectTask, PaperTask
 
@@ -37,3 +37,41 @@ def test_shared_work_takes_the_step_that_one_worker_would(task):
         torch.optim.AdamW(network.parameters(), 1e-3, eps=1e-2, fused=True).step()
     for (name, one), two in zip(plain.named_parameters(), shared.parameters(), strict=True):
         assert torch.allclose(one, two, atol=2e-5), name
+
+
+def test_batches_come_in_order_however_many_make_them():
+    task, links = PaperTask(), load_links(SAMPLE, "T1")
+
+    def make(k):
+        return task.batch(links, 2, np.random.default_rng([0, k]))
+
+    for makers in (1, 4):
+        with prefetched(make, 3, 11, makers) as batches:
+            found = list(batches)
+        assert len(found) == 8
+        for k, batch in zip(range(3, 11), found, strict=True):
+            assert torch.equal(batch["inputs"], make(k)["inputs"])
+
+
+def test_a_batch_that_cannot_be_made_ends_the_run():
+    def make(k):
+        if k == 2:
+            raise ValueError("no such batch")
+        return {"k": torch.tensor(k)}
+
+    with prefetched(make, 0, 9, 3) as batches:
+        assert [int(next(batches)["k"]) for _ in range(2)] == [0, 1]
+        with pytest.raises(ValueError, match="no such batch"):
+            next(batches)
+
+
+def test_what_nobody_takes_is_not_made():
+    made = []
+
+    def make(k):
+        made.append(k)
+        return {}
+
+    with prefetched(make, 0, 1000, 2) as batches:
+        next(batches)
+    assert len(made) < 10

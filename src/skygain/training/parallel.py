@@ -6,11 +6,11 @@ __all__ = ["Shares", "moved", "prefetched"]
 
 import copy
 import functools
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from itertools import islice
 from typing import Any
 
 import torch
@@ -81,37 +81,22 @@ def moved(batch: Batch, device: torch.device) -> Batch:
 
 
 @contextmanager
-def prefetched(make: Callable[[int], Batch], first: int, end: int) -> Iterator[Iterator[Batch]]:
-    """Iterator over ``make(k)`` for k in [first, end), made three ahead in a thread (the Numba
-    kernels release the interpreter lock)."""
-    ready: queue.Queue[Batch | BaseException | None] = queue.Queue(maxsize=3)
-    stop = threading.Event()
+def prefetched(
+    make: Callable[[int], Batch], first: int, end: int, makers: int = 1
+) -> Iterator[Iterator[Batch]]:
+    """Iterator over ``make(k)`` for k in [first, end), made a few ahead in ``makers`` threads (the
+    Numba kernels release the interpreter lock)."""
+    numbers = iter(range(first, end))
+    with ThreadPoolExecutor(makers) as pool:
+        ahead = deque(pool.submit(make, k) for k in islice(numbers, makers + 2))
 
-    def put(item: Batch | BaseException | None) -> None:
-        while not stop.is_set():
-            with suppress(queue.Full):
-                return ready.put(item, timeout=0.2)
+        def batches() -> Iterator[Batch]:
+            while ahead:
+                batch = ahead.popleft().result()
+                ahead.extend(pool.submit(make, k) for k in islice(numbers, 1))
+                yield batch
 
-    def work() -> None:
         try:
-            for k in range(first, end):
-                if stop.is_set():
-                    return
-                put(make(k))
-            put(None)
-        except BaseException as error:  # handed to the consumer, who raises it
-            put(error)
-
-    def batches() -> Iterator[Batch]:
-        while (item := ready.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
-    try:
-        yield batches()
-    finally:
-        stop.set()
-        worker.join()
+            yield batches()
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = ["TrainConfig", "train"]
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -140,6 +141,7 @@ def train(config: TrainConfig, report: Report = lambda record: None) -> Result:
             lambda k: task.batch(links, config.batch_size, np.random.default_rng([config.seed, k])),
             run.step,
             end,
+            makers=(os.cpu_count() or 1) if device.type == "cuda" else 1,
         ) as batches,
     ):
         for batch in batches:
