@@ -39,6 +39,7 @@ PREDICTORS.register(
 PREDICTORS.register(
     "random-forest", "skygain.predictors.rivals.random_forest:RandomForestPredictor"
 )
+PREDICTORS.register("tensor", "skygain.predictors.rivals.tensor:TensorPredictor")
 PREDICTORS.register("sklearn-gp", "skygain.predictors.rivals.sklearn_gp:ScikitLearnPredictor")
 PREDICTORS.register("pykrige", "skygain.predictors.rivals.pykrige:PyKrigePredictor")
 PREDICTORS.register("gstools", "skygain.predictors.rivals.gstools:GSToolsPredictor")

@@ -63,9 +63,11 @@ def test_knn_is_the_mean_of_the_nearest(k, rng):
     )
 
 
-@pytest.mark.parametrize("name", ["idw", "knn", "gids", "thin-plate"])
+@pytest.mark.parametrize("name", ["idw", "knn", "gids", "thin-plate", "tensor"])
 def test_the_variance_is_about_the_squared_error(name):
     """On fields of a known covariance the mean squared error over variance is near 1."""
+    if name == "tensor":
+        pytest.importorskip("tensorly", reason="needs the extra 'tensor'")
     rng = np.random.default_rng(5)
     grid = Grid((40, 40), 4.0)
     scenario = Scenario(City(grid, np.zeros(grid.shape)))

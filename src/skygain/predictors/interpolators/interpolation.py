@@ -11,7 +11,14 @@ exp(−2d/δ)) + ν, by the weight of `PRIOR_ERRORS`.
 
 from __future__ import annotations
 
-__all__ = ["InterpolationBelief", "Interpolator", "ReadingsPredictor"]
+__all__ = [
+    "InterpolationBelief",
+    "Interpolator",
+    "ReadingsPredictor",
+    "nearest_reading_m",
+    "trained_error_db2",
+    "variance_by_distance",
+]
 
 from abc import abstractmethod
 
@@ -122,17 +129,7 @@ class Interpolator(ReadingsPredictor):
         a reading may not be used."""
 
     def predict(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
-        grid = scenario.grid
-        trained = trained_parameters("constant", scenario.prediction_altitude_m)
-        unmeasured = np.ones(grid.size, dtype=bool)
-        unmeasured[readings.cells] = False
-        distance = grid.spacing_m * distance_transform_edt(unmeasured.reshape(grid.shape)).ravel()
-        nodes = grid.spacing_m * 2.0 ** np.arange(np.ceil(np.log2(max(grid.shape))) + 1)
-        expected = (
-            trained.sill_db2 * (1 - np.exp(-2 * nodes / trained.range_m)) + trained.nugget_db2
-        )
-        curve = _rising_curve(*self._errors(scenario, readings), nodes, expected)
-        variance = np.interp(distance, np.append(0.0, nodes), np.append(0.0, curve))
+        variance = variance_by_distance(scenario, readings, *self._errors(scenario, readings))
         return self.estimate(scenario, readings), variance
 
     def _errors(self, scenario: Scenario, readings: Readings) -> tuple[Array, Array]:
@@ -153,6 +150,33 @@ class Interpolator(ReadingsPredictor):
                 nearest.append(near[left])
                 errors.append((estimate - readings.gain_db[targets[left]]) ** 2)
         return np.concatenate(nearest), np.concatenate(errors)
+
+
+def trained_error_db2(scenario: Scenario, distance_m: Array) -> Array:
+    """The squared error that the trained Kriging model expects at a distance from the nearest
+    reading."""
+    trained = trained_parameters("constant", scenario.prediction_altitude_m)
+    return trained.sill_db2 * (1 - np.exp(-2 * distance_m / trained.range_m)) + trained.nugget_db2
+
+
+def nearest_reading_m(scenario: Scenario, readings: Readings) -> Array:
+    """Distance ``[P]`` of every cell to the nearest measured one."""
+    grid = scenario.grid
+    unmeasured = np.ones(grid.size, dtype=bool)
+    unmeasured[readings.cells] = False
+    return grid.spacing_m * distance_transform_edt(unmeasured.reshape(grid.shape)).ravel()
+
+
+def variance_by_distance(
+    scenario: Scenario, readings: Readings, nearest_m: Array, error_db2: Array
+) -> Array:
+    """Variance ``[P]`` at every cell out of squared errors ``[m]`` of predictions whose nearest
+    reading was ``nearest_m[m]`` away."""
+    grid = scenario.grid
+    nodes = grid.spacing_m * 2.0 ** np.arange(np.ceil(np.log2(max(grid.shape))) + 1)
+    curve = _rising_curve(nearest_m, error_db2, nodes, trained_error_db2(scenario, nodes))
+    distance = nearest_reading_m(scenario, readings)
+    return np.interp(distance, np.append(0.0, nodes), np.append(0.0, curve))
 
 
 def _rising_curve(nearest_m: Array, error_db2: Array, nodes_m: Array, expected_db2: Array) -> Array:
