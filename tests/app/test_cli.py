@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from skygain.app.cli import command_line
+from skygain.app.requests import COMMANDS
 
 QUICK = ["--predictor", "idw", "--planner", "random-waypoint", "--steps", "10", "--crop", "40"]
 
@@ -225,3 +227,15 @@ def test_an_option_of_several_files_takes_them_after_one_another(tmp_path: Path)
     words = ["dataset", "build", "--cities", "7", "8", "--side", "500", "--out", str(made)]
     found = CliRunner().invoke(command_line(), words)
     assert str(found.exception).startswith("--side 500 is more than the smallest city has")
+
+
+def test_help_names_options_as_they_are_typed() -> None:
+    for words, request in COMMANDS.items():
+        done = CliRunner().invoke(command_line(), [*words.split(), "--help"])
+        assert done.exit_code == 0
+        options = done.output.partition("Examples:")[0]
+        assert "`" not in options, words
+        for one in request.asked():
+            # an import speaks of the variables in a file by such names
+            if "_" in one.name and words != "dataset import":
+                assert not re.search(rf"\b{one.name}\b", options), f"{words}: {one.name}"

@@ -3,6 +3,7 @@ Skygain's own metrics and rules of flight give."""
 
 from __future__ import annotations
 
+import io
 import re
 import shutil
 import subprocess
@@ -171,7 +172,12 @@ def test_options_lead_to_legal_steps(exported: Path) -> None:
         (lambda a: a["paths"].__setitem__((0, 3), (99, 99)), "jumps"),
         (lambda a: a["paths"].__iadd__(1), "do not begin at the starts"),
         (lambda a: a["variance_db2"].fill(-1.0), "variance_db2 must be 0 or more"),
-        (lambda a: a["mean_db"].fill(np.nan), "mean_db is not finite"),
+        (lambda a: a["mean_db"].fill(np.nan), "mean_db must be .* dB in every free cell"),
+        (lambda a: a["mean_db"].fill(1e200), "mean_db must be .* dB in every free cell"),
+        (lambda a: a.update(mean_db=a["mean_db"].astype(str)), "mean_db of .* must hold numbers"),
+        (lambda a: a.update(mean_db=a["mean_db"] + 1j), "mean_db of .* must hold numbers"),
+        (lambda a: a.update(paths=a["paths"] + 0.5), "paths of .* must hold whole"),
+        (lambda a: a.update(paths=a["paths"] * np.nan), "paths of .* must hold whole"),
         (lambda a: a.update(benchmark=np.array("other")), "belongs to benchmark other"),
         (lambda a: a.pop("mean_db"), "mean_db of .* got nothing"),
     ],
@@ -189,6 +195,47 @@ def test_what_cannot_be_scored_is_told(
         score.score_submissions([tmp_path / "wrong"], exported)
 
 
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda whole: whole[: len(whole) // 2], "damaged"),
+        (lambda whole: whole[:2000] + bytes(500) + whole[2500:], "damaged"),
+        (lambda whole: b"", "damaged"),
+        (lambda whole: b"junk", "damaged"),
+        (lambda whole: _saved(np.save, np.zeros(3)), "damaged"),
+        (lambda whole: _saved(np.savez, np.array([None])), "something else than arrays"),
+    ],
+)
+def test_a_damaged_file_is_named_without_a_traceback(
+    exported: Path, flown: tuple[Path, list[dict]], tmp_path: Path, damage, message: str
+) -> None:
+    shutil.copytree(flown[0], tmp_path / "wrong")
+    path = tmp_path / "wrong" / "case-001.npz"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(InputError, match=f"case-001.npz .*{message}") as told:
+        score.score_submissions([tmp_path / "wrong"], exported)
+    assert "pickle" not in str(told.value)
+
+
+def _saved(save, values) -> bytes:
+    file = io.BytesIO()
+    save(file, values)
+    return file.getvalue()
+
+
+def test_paths_may_be_whole_floats(
+    exported: Path, flown: tuple[Path, list[dict]], tmp_path: Path
+) -> None:
+    ours = tmp_path / flown[0].name
+    shutil.copytree(flown[0], ours)
+    for path in ours.iterdir():
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        np.savez(path, **arrays | {"paths": arrays["paths"].astype(float)})
+    whole, floats = (score.score_submissions([one], exported) for one in (flown[0], ours))
+    assert floats == whole
+
+
 def test_misuse_of_the_commands_names_the_option(exported: Path, tmp_path: Path) -> None:
     def said(*words: str) -> str:
         with pytest.raises(InputError) as error:
@@ -199,6 +246,10 @@ def test_misuse_of_the_commands_names_the_option(exported: Path, tmp_path: Path)
     assert "give the exported folder as --benchmark" in said("score", str(tmp_path))
     gone = said("score", str(exported / "submissions" / "gone"))
     assert "gone is no folder" in gone
+    assert "other is no folder" in said("score", str(tmp_path / "other"))
+    assert "is the benchmark itself" in said("score", str(exported))
+    (tmp_path / "README.md").write_text("mine")
+    assert "README.md exists; give another --out" in said("export", "--out", str(tmp_path))
     assert "--steps must be 1 or more" in said("export", "--steps", "0", "--out", str(tmp_path))
 
 

@@ -182,6 +182,7 @@ def test_a_leg_over_a_slope_follows_it(site) -> None:
         ({"home": home(73, 55)}, "3.0 m from a building"),
         ({"home": home(2, 60)}, "2.0 m from the area's edge"),
         ({"home": None}, "`home`"),
+        ({"home": ",".join(reversed(home(90, 85).split(",")))}, "comes first: give `home="),
         ({"home": "49,9;49,9"}, "off the map|not on this map"),
         ({"home": f"{home(90, 85)};{home(91, 85)}"}, "2 homes for 3 UAVs"),
         ({"home": f"{home(90, 85)};{home(91, 85)}", "uavs": 2}, "1.0 m apart"),

@@ -84,6 +84,7 @@ def test_a_post_counts_once_in_json_and_in_csv(address, folder) -> None:
     ("body", "message"),
     [
         (b"{", "is no JSON"),
+        (b"[" * 100_000, "is no JSON"),
         (b"[3]", "reading 1 must be an object with time, latitude, longitude and level, got 3"),
         ([{"lat": 3}], "reading 1 has an unknown 'lat'; .*latitude"),
         ([reading(0), {"time": 3}], "reading 2 has no latitude"),

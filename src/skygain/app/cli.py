@@ -122,7 +122,7 @@ class _Command(click.Command):
         sections: dict[str, list[tuple[str, str]]] = {"": []}
         for one in self.request.asked():
             flag = one.name.upper() if one.argument else _flag(one)
-            sections.setdefault(one.group, []).append((flag, _help(one)))
+            sections.setdefault(one.group, []).append((flag, _help(one, self.request)))
         sections["Further"] = [
             ("--config FILE", "TOML, JSON or results.json to start from; options override it"),
             ("--help", "Show this."),
@@ -233,8 +233,8 @@ def _flag(one: Asked) -> str:
     return f"--{one.flag} {metavar}".rstrip()
 
 
-def _help(one: Asked) -> str:
-    text = one.text.replace("``", "")
+def _help(one: Asked, request: type[Request]) -> str:
+    text = for_command_line(one.text.replace("``", ""), request)
     if one.default is MISSING:
         return f"{text}  [required]"
     if one.kind is bool or one.default in (None, (), {}):

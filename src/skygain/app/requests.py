@@ -381,8 +381,8 @@ class TrainPredictorRequest(TrainRequest):
     finish: int | None = None
     """end the run: the learning rate falls to 0 over so many more steps"""
     keep: float | None = None
-    """share of the weights begun from in those that the run ends with, 0 to 1; needs start_from and
-    finish"""
+    """share of the weights begun from in those that the run ends with, 0 to 1; needs `start_from`
+    and `finish`"""
 
     def check(self) -> None:
         """A run ends in at least one step, and keeps what it has."""

@@ -108,7 +108,7 @@ def posted_readings(body: bytes, kind: str, wanted: Wanted) -> list[Reading]:
 def _of_json(text: str) -> list[Mapping[str, Any]]:
     try:
         told = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"the post is no JSON ({error}); send readings as JSON or CSV") from None
     shared: dict[str, Any] = {}
     if isinstance(told, dict) and "readings" in told:

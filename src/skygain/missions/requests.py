@@ -33,7 +33,7 @@ class FleetRequest(Request):
     """LAT,LON of the take-off place; several with a semicolon between, one for each UAV. UAVs that
     share one stand `separation` apart around it"""
     altitude_m: float = 40.0
-    """altitude of flight and map, metres above the ground (or the sea, see above_sea)"""
+    """altitude of flight and map, metres above the ground (or the sea, see `above_sea`)"""
     speed_mps: float = named(5.0, flag="speed")
     """speed along the legs, m/s"""
     battery_min: float = named(18.0, flag="battery")

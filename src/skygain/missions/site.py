@@ -312,7 +312,7 @@ def _homes(request: MissionNewRequest, grid: Grid) -> list[NDArray]:
             f"`home={latitude:.5f},{longitude:.5f}`, the middle of the map"
         )
     for text in request.home.split(";"):
-        x, y, _ = asked_position(text, grid)
+        x, y, _ = asked_position(text, grid, name="home")
         homes.append(np.array([x, y]))
     if len(homes) not in (1, request.uavs):
         raise InputError(

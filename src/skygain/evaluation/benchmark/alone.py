@@ -23,6 +23,8 @@ __all__ = [
 ]
 
 import sys
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +36,8 @@ MOVES = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
 """``[4, (row, col)]`` north, east, south, west; row 0 is the southern edge"""
 VARIANCE_FLOOR_DB2 = 1e-4
 """a predicted variance below this counts as this"""
+LARGEST_DB = 1e6
+"""a predicted gain beyond this is refused: its square could not be scored"""
 HALF_90 = 1.6448536269514722
 """half the width of a central 90 % interval in standard deviations"""
 CASES, TRUTH, TRANSMITTERS = "cases.npz", "truth.npz", "transmitters.npz"
@@ -249,17 +253,19 @@ def read_submission(benchmark: Benchmark, folder: str | Path) -> Submission:
             if name not in arrays or arrays[name].shape != size:
                 came = arrays[name].shape if name in arrays else "nothing"
                 raise BenchmarkError(f"{name} of {path} must have shape {size}, got {came}")
-            found[name].append(arrays[name])
+            found[name].append(_numbers(arrays[name], f"{name} of {path}", name == "paths"))
         told.add(_said(arrays.get("told_transmitter")))
         free = cases["free"][k]
         paths, mean, variance = (found[name][-1] for name in wanted)
         if not (paths[:, 0] == cases["starts"][k]).all():
             raise BenchmarkError(f"{path}: the paths do not begin at the starts of case {k}")
-        wrong = illegal(free, paths.astype(int))
+        wrong = illegal(free, paths)
         if wrong:
             raise BenchmarkError(f"{path}: {wrong}")
-        if not np.isfinite(mean[:, free]).all():
-            raise BenchmarkError(f"{path}: mean_db is not finite in every free cell")
+        if not (np.abs(mean[:, free]) <= LARGEST_DB).all():
+            raise BenchmarkError(
+                f"{path}: mean_db must be -{LARGEST_DB:g} to {LARGEST_DB:g} dB in every free cell"
+            )
         if not (variance[:, free] >= 0).all() or np.isinf(variance[:, free]).any():
             raise BenchmarkError(f"{path}: variance_db2 must be 0 or more in every free cell")
     return Submission(
@@ -343,7 +349,7 @@ def row(benchmark: Benchmark, found: Submission) -> Row:
                     found.variance_db2[k, i],
                     truth[k],
                     free[k],
-                    found.paths[k][:, : step + 1].astype(int),
+                    found.paths[k][:, : step + 1],
                 )
                 for i, step in enumerate(benchmark.record_steps)
             ]
@@ -401,7 +407,18 @@ def _text(value: tuple[float, float, float], style: str) -> str:
 
 
 def _said(told: Any) -> str:
-    return "not said" if told is None else "yes" if bool(told) else "no"
+    return "not said" if np.size(told) != 1 or told is None else "yes" if bool(told) else "no"
+
+
+def _numbers(values: np.ndarray, name: str, whole: bool) -> np.ndarray:
+    """``values`` as they are if they are real numbers; as integers if they are to be ``whole``."""
+    if values.dtype.kind not in "iuf":
+        raise BenchmarkError(f"{name} must hold numbers, got {values.dtype}")
+    if not whole:
+        return values
+    if not (np.isfinite(values).all() and (values == np.rint(values)).all()):
+        raise BenchmarkError(f"{name} must hold whole rows and columns")
+    return values.astype(int)
 
 
 def _file_name(number: int) -> str:
@@ -411,12 +428,14 @@ def _file_name(number: int) -> str:
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a file; none is ever unpickled."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise BenchmarkError(f"there is no {path}") from None
-    except (OSError, ValueError, EOFError, AttributeError, KeyError) as error:
-        raise BenchmarkError(f"{path} is no NumPy archive of this benchmark: {error}") from None
+    except (OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise BenchmarkError(f"{path} is damaged or not written by numpy.savez: {error}") from None
+    except (ValueError, AttributeError, NotImplementedError):
+        raise BenchmarkError(f"{path} holds something else than arrays of numbers") from None
 
 
 def _enterable(free: np.ndarray, cells: np.ndarray) -> np.ndarray:

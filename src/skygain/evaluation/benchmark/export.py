@@ -22,6 +22,7 @@ from skygain.ground.files import atomic_write, file_digest, writable_folder
 if TYPE_CHECKING:
     from skygain.evaluation.request import EvaluateRequest
 
+_README = "README.md"
 _SHIPPED = {"alone.py": "skygain_benchmark.py", "example.txt": "example.py"}
 
 
@@ -33,9 +34,11 @@ def export_benchmark(request: EvaluateRequest, out: Path, *, overwrite: bool = F
         InputError: unreadable data, no such surveys, or ``out`` holds something already.
     """
     packed = out.suffix == ".zip"
-    held = out.exists() if packed else (out / CASES).exists()
-    if held and not overwrite:
-        raise InputError(f"{out} exists; give another `out`, or `overwrite=True`")
+    names = (CASES, TRANSMITTERS, TRUTH, _README, *_SHIPPED.values())
+    held = [out] if packed else [out / name for name in names]
+    for path in held:
+        if path.exists() and not overwrite:
+            raise InputError(f"{path} exists; give another `out`, or `overwrite=True`")
     written = _files(request)
     if packed:
         with atomic_write(out) as tmp, zipfile.ZipFile(tmp, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -48,7 +51,7 @@ def export_benchmark(request: EvaluateRequest, out: Path, *, overwrite: bool = F
             with atomic_write(folder / name) as tmp:
                 tmp.write_bytes(content)
     size = sum(map(len, written.values()))
-    told = written["README.md"].decode().splitlines()
+    told = written[_README].decode().splitlines()
     return f"wrote {out}, {size / 1e6:.1f} MB: {told[2].partition('.')[0]}; see README.md in it"
 
 
@@ -114,7 +117,7 @@ def _files(request: EvaluateRequest) -> dict[str, bytes]:
             evaluate=_command(request),
         )
     )
-    return written | {"README.md": text.encode()}
+    return written | {_README: text.encode()}
 
 
 def _packed(arrays: dict[str, Any]) -> bytes:

@@ -43,6 +43,13 @@ def score_submissions(submissions: Sequence[Path], folder: Path | None = None) -
 
 
 def _above(submission: Path) -> Path:
+    if not submission.is_dir():
+        raise InputError(f"{submission} is no folder; give the one that Flight.write filled")
+    if (submission / CASES).exists():
+        raise InputError(
+            f"{submission} is the benchmark itself; give the folder of a submission, such as "
+            f"{submission / 'submissions' / 'nearest-neighbour'}"
+        )
     for folder in submission.resolve().parents:
         if (folder / CASES).exists():
             return folder
