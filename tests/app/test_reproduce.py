@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from skygain.app.reproduce import _draw, run_reproduce
+from skygain.app.reproduce import _command, _draw, run_reproduce
 from skygain.evaluation.paper.claims import claims_of
 from skygain.evaluation.paper.flying import Reproduction
 from skygain.evaluation.paper.request import NAMES, ReproduceRequest
@@ -69,7 +69,15 @@ def test_the_pages_are_whole(folder: Path) -> None:
     assert len(pictures) == len(flown) == 2
     index = (folder / "index.html").read_text(encoding="utf-8")
     assert results["data_digest"] in index
+    assert f"--out {folder.name}</code>" in index, "the command makes this folder again"
+    assert str(folder) not in index, "no page says where it was made"
     assert "undecided" in index, "one city decides nothing"
+
+
+def test_the_command_says_what_was_asked_for_and_not_who_computed() -> None:
+    asked = replace(ASKED, cluster="tcp://10.0.0.7:8786", out=Path("some/where/paper"))
+    words = "--figure gain-bins --quick --max-surveys 2 --steps 3 --crop 24 --out paper"
+    assert _command(asked) == f"skygain reproduce {words}"
 
 
 def test_it_goes_on_and_mixes_with_nothing_else(folder: Path) -> None:

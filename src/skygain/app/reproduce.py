@@ -114,9 +114,9 @@ def _command(request: ReproduceRequest) -> str:
     words = ["skygain", "reproduce"]
     for one in request.asked():
         value = getattr(request, one.name)
-        if value == one.default or one.name in ("workers", "out"):
+        if value == one.default or one.name in ("workers", "cluster"):
             continue
-        if one.name == "data":
+        if one.name in ("data", "out"):
             value = Path(value).name
         text = ",".join(value) if isinstance(value, tuple) else str(value)
         words += [f"--{one.flag}"] if one.kind is bool else [f"--{one.flag}", text]
