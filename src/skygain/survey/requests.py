@@ -182,7 +182,7 @@ class MethodRequest(Request):
 
     predictor: str = named("auto", names="skygain.predictors:PREDICTORS")
     """name, options as name:key=value, +tx to tell it the transmitter; module:Class for one's own;
-    auto takes operator, for a recording kriging-blind"""
+    auto takes operator, for a recording and in a mission kriging-blind"""
     planner: str = named("sequential-greedy", names="skygain.planners:PLANNERS")
     """the same for the planner"""
     stop_std_db: float | None = named(None, flag="stop-std")
