@@ -15,9 +15,9 @@ import pytest
 from click.testing import CliRunner
 
 from skygain.app.cli import command_line
-from skygain.app.requests import BenchmarkExportRequest
 from skygain.evaluation.benchmark import alone, score
 from skygain.evaluation.benchmark.export import export_benchmark
+from skygain.evaluation.benchmark.request import BenchmarkExportRequest
 from skygain.evaluation.comparison import compare, request_cases
 from skygain.evaluation.rollout import rollout
 from skygain.evaluation.statistics import bootstrap_mean

@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["run_export", "run_score"]
 
 from skygain.app.progress import Progress
-from skygain.app.requests import BenchmarkExportRequest, BenchmarkScoreRequest
+from skygain.evaluation.benchmark.request import BenchmarkExportRequest, BenchmarkScoreRequest
 
 
 def run_export(request: BenchmarkExportRequest, progress: Progress) -> str:
