@@ -135,10 +135,10 @@ def test_a_live_flight_is_taken_over(town, site, sortie, tmp_path: Path, trial: 
     usable(folder)
 
 
-def usable(folder: Path) -> None:
+def usable(folder: Path, sorties: tuple[str, ...] = ("sortie 2",)) -> None:
     """The next commands do what they should."""
     assert "map:" in run_status(MissionStatusRequest(folder=folder), SILENT)
-    assert run_plan(MissionPlanRequest(folder=folder), SILENT).startswith("sortie 2")
+    assert run_plan(MissionPlanRequest(folder=folder), SILENT).startswith(sorties)
 
 
 def test_a_server_that_is_killed_keeps_what_it_acknowledged(
@@ -185,4 +185,5 @@ def test_a_server_that_is_killed_keeps_what_it_acknowledged(
     found = Counter((r.time_s, r.latitude) for r in readings)
     assert set(found.values()) == {1}
     assert found.keys() == {(t, round(lat, 8)) for t, lat in acknowledged}
-    usable(folder)
+    # a few cells that were posted leave the sortie open
+    usable(folder, ("sortie 1", "sortie 2"))

@@ -26,14 +26,18 @@ def open_sortie(mission: Mission) -> Sortie | None:
     """The newest sortie, if it was not flown since it was planned.
 
     A companion computer posts before the take-off too, so readings that were posted count as a
-    flight once they hold a tenth of the cells planned.
+    flight once a live flight has ended, or once they hold a tenth of the cells planned.
     """
     sorties = mission.sorties()
     if not sorties:
         return None
     newest, planned = sorties[-1], mission.journal.events("planned")[-1]["id"]
-    read = [event for event in mission.journal.events("ingested") if event["id"] > planned]
+    events = mission.journal.events("ingested", "flown")
+    since = [event for event in events if event["id"] > planned]
+    read = [event for event in since if event["kind"] == "ingested"]
     if any(event.get("file") != POSTED for event in read):
+        return None
+    if read and len(since) > len(read):
         return None
     if read:
         site = mission.site
