@@ -7,17 +7,17 @@ are there. Row i of R holds the weights that turn observation i into its innovat
 earlier ones could not foresee, scaled to unit variance. So a belief can hand its rows to the next
 one, and only the newest belief of a line ever writes.
 
-The covariance of innovation i with the field at every cell of the map is Σⱼ Rᵢⱼ k(cell, cellⱼ). The
-kernel depends on the offset between cells alone, so that sum is a convolution of an image (the
-weights, put at their cells) with the kernel, and two FFTs give it for the whole map, however many
-observations there are. Appending n values to v on a map of P cells takes O(v²·n + n·P log P) time,
-where products with the full v × P matrix would take O(v·n·P).
+Appending n values takes O(v²·n) time and no map at all. Maps are made when somebody looks at one.
+A sum over observations is a convolution of an image (weights, put at their cells) with the kernel,
+which depends on the offset between cells alone: two FFTs. The variance needs the covariance of
+every innovation with every cell, but only of those that came since somebody looked last.
 """
 
 from __future__ import annotations
 
-__all__ = ["CellKernel", "GaussianProcess", "Innovation", "InverseFactor"]
+__all__ = ["CellKernel", "GaussianProcess", "InverseFactor"]
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,6 +34,12 @@ Flat = NDArray[np.int64]
 
 BLOCK_ROWS = 128
 """rows of the inverse factor that are allocated, and at most copied, together"""
+WINDOW_CELLS = 1024
+"""cells of the map whose covariances with all observations are held at a time"""
+BUNDLE_ROWS = 16
+"""rows of the inverse factor whose covariances with the map are summed together"""
+TRANSFORM = 100.0
+"""what a point of an FFT costs in terms of looking up a covariance and multiplying it"""
 KNOWN = 1e-10
 """a value whose variance is below this share of the prior variance counts as known exactly"""
 
@@ -130,6 +136,14 @@ class InverseFactor:
             out[: piece.shape[1]] += piece.T @ columns[rows]
         return out
 
+    def bundles(self, first: int) -> Iterator[Array]:
+        """The rows of R from ``first`` on, `BUNDLE_ROWS` at a time as counted from the beginning,
+        ``[n, k]`` without the zeros behind."""
+        for rows, piece in self._pieces():
+            for row in range(max(first, rows.start), rows.stop, BUNDLE_ROWS):
+                end = min(row + BUNDLE_ROWS, rows.stop)
+                yield piece[row - rows.start : end - rows.start, :end]
+
     def extended(self, rows: Array) -> InverseFactor:
         """R with ``rows[n, v + n]`` appended."""
         blocks, size, width = list(self._blocks), self.size, rows.shape[1]
@@ -149,20 +163,8 @@ class InverseFactor:
 
 
 @dataclass(frozen=True, eq=False)
-class Innovation:
-    """What n new observations add, in terms of the v before them."""
-
-    rows: Array
-    """``[n, v + n]`` new rows of R: ``rows @ x`` whitens the new entries of any column x of all v +
-    n observations"""
-    maps: Array
-    """``[n, P]`` covariance of each innovation with the field at every cell, in dB"""
-
-
-@dataclass(frozen=True, eq=False)
 class GaussianProcess:
-    """A zero-mean field observed at some cells. Immutable; `observed` returns the grown process and
-    its innovation."""
+    """A zero-mean field observed at some cells. Immutable; `observed` returns the grown process."""
 
     kernel: CellKernel
     """covariance between cells of the plane where values are observed"""
@@ -178,8 +180,9 @@ class GaussianProcess:
     """``[v]`` variance of each observation's noise"""
     factor: InverseFactor
     """R, the inverse Cholesky factor of the observations' covariance"""
-    reduction_db2: Array
-    """``[P]`` how much the observations have lowered the variance at every cell"""
+    before: tuple[int, Array]
+    """how many of the first observations were looked at already, in whole bundles, and the
+    reduction by these"""
 
     @classmethod
     def unobserved(
@@ -187,13 +190,15 @@ class GaussianProcess:
     ) -> GaussianProcess:
         """The process before any data."""
         none = np.empty(0)
-        reduction = np.zeros(kernel.shape[0] * kernel.shape[1])
+        before = 0, np.zeros(kernel.shape[0] * kernel.shape[1])
         return cls(
-            kernel, to_prediction, prior, none.astype(np.int64), none, InverseFactor(), reduction
+            kernel, to_prediction, prior, none.astype(np.int64), none, InverseFactor(), before
         )
 
-    def innovation(self, cells: Flat, noise_db2: Array) -> Innovation:
-        """What observing raveled ``cells[n]`` with noise variances ``noise_db2[n]`` would add."""
+    def innovation(self, cells: Flat, noise_db2: Array) -> Array:
+        """``[n, v + n]`` rows of R that observing raveled ``cells[n]`` with noise variances
+        ``noise_db2[n]`` would add: they whiten the new entries of any column of all v + n
+        observations."""
         cross = self.kernel.between(self.cells, cells)
         whitened = self.factor.times(cross)
         schur = self.kernel.between(cells, cells) - whitened.T @ whitened
@@ -203,24 +208,51 @@ class GaussianProcess:
         schur[diagonal] = np.maximum(schur[diagonal] + noise_db2, KNOWN * self.kernel.variance_db2)
         root = np.linalg.cholesky(schur)
         inverse, _ = lapack.dtrtri(root, lower=1)
-        rows = np.concatenate(
+        return np.concatenate(
             [-inverse @ self.factor.transposed_times(whitened).T, inverse], axis=1
         )
-        return Innovation(
-            rows, self.to_prediction.to_map(rows, np.concatenate([self.cells, cells]))
-        )
 
-    def observed(self, cells: Flat, noise_db2: Array) -> tuple[GaussianProcess, Innovation]:
-        """The process after observing ``cells[n]`` as well, and what they added."""
-        new = self.innovation(cells, noise_db2)
+    def observed(self, cells: Flat, noise_db2: Array) -> tuple[GaussianProcess, Array]:
+        """The process after observing ``cells[n]`` as well, and the rows they added, see
+        `innovation`."""
+        rows = self.innovation(cells, noise_db2)
+        looked_at = self.__dict__.get("_looked_at")
         grown = replace(
             self,
             cells=np.concatenate([self.cells, cells]),
             noise_db2=np.concatenate([self.noise_db2, noise_db2]),
-            factor=self.factor.extended(new.rows),
-            reduction_db2=self.reduction_db2 + np.einsum("np,np->p", new.maps, new.maps),
+            factor=self.factor.extended(rows),
+            before=self.before if looked_at is None else looked_at[0],
         )
-        return grown, new
+        return grown, rows
+
+    @property
+    def reduction_db2(self) -> Array:
+        """``[P]`` how much the observations have lowered the variance at every cell."""
+        return self._looked_at[1]
+
+    @cached_property
+    def _looked_at(self) -> tuple[tuple[int, Array], Array]:
+        """``before`` for whoever goes on from here, and the reduction by all observations."""
+        first, before = self.before
+        settled, rest = before.copy(), np.zeros_like(before)
+        bundles, sums = list(self.factor.bundles(first)), self.to_prediction
+        cells, size = len(before), self.factor.size
+        # What is done with a bundle depends on nothing but where it stands: the answer is the same
+        # to the last bit however often somebody looked on the way.
+        dense = [rows for rows in bundles if rows.shape[1] <= TRANSFORM * math.log2(4 * cells)]
+        for start in range(0, cells if dense else 0, WINDOW_CELLS):
+            window = slice(start, min(start + WINDOW_CELLS, cells))
+            among = np.arange(window.start, window.stop)
+            covariance = sums.between(self.cells[: dense[-1].shape[1]], among)
+            for rows in dense:
+                maps = rows @ covariance[: rows.shape[1]]
+                total = settled if len(rows) == BUNDLE_ROWS else rest
+                total[window] += np.einsum("np,np->p", maps, maps)
+        for rows in bundles[len(dense) :]:
+            maps = sums.to_map(rows, self.cells[: rows.shape[1]])
+            (settled if len(rows) == BUNDLE_ROWS else rest)[:] += np.einsum("np,np->p", maps, maps)
+        return (size - size % BUNDLE_ROWS, settled), settled + rest
 
     def whitened(self, cells: Flat) -> Array:
         """``[v, n]`` covariance of every innovation with the field at raveled predicted

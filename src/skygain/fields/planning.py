@@ -21,6 +21,7 @@ __all__ = [
     "FALLBACK_RANGE_M",
     "Conditioned",
     "PlanningField",
+    "less_product",
     "planning_field",
 ]
 
@@ -30,7 +31,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import get_blas_funcs, solve_triangular
 
 from skygain.fields.offsets import at_offsets, offset_distance_m
 from skygain.grid import Grid
@@ -146,7 +147,17 @@ class Conditioned:
         to save computing it again."""
         white = self.whitened(cells) if white is None else white
         white_others = self.whitened(others) if white_others is None else white_others
-        return self.field.prior(cells, others, self.factor.dtype.type) - white.T @ white_others
+        return less_product(
+            self.field.prior(cells, others, self.factor.dtype.type), white, white_others
+        )
+
+
+def less_product(matrix: NDArray[Any], left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+    """``matrix[n, m]``, in rows, less ``left[k, n]``ᵀ ``right[k, m]``, in its own memory."""
+    if matrix.size and len(left):
+        gemm = get_blas_funcs("gemm", (matrix, left, right))
+        gemm(-1.0, right, left, beta=1.0, c=matrix.T, trans_a=True, overwrite_c=True)
+    return matrix
 
 
 def planning_field(belief: Believing) -> PlanningField:

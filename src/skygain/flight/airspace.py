@@ -72,7 +72,7 @@ class Airspace(NamedTuple):
         )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def keeps_apart(row, col, other_row, other_col, air):
     """Whether two UAVs in these cells respect the distance rules."""
     if air.separate and row == other_row and col == other_col:
@@ -82,7 +82,7 @@ def keeps_apart(row, col, other_row, other_col, air):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def may_enter(uav, row, col, left, air):
     """Whether obstacles, the map's edge and the way home let ``uav`` enter (row, col) with ``left``
     moves before this one."""

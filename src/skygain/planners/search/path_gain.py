@@ -9,6 +9,9 @@ variance of a reading, the gain of v is
   targets;
 - entropy:             ½ log(1 + d_v/σ²);
 - mutual information:  ½ log((d_v + σ²)/(d_v|X + σ²)), d_v|X the variance given all targets as well.
+
+What runs for every cell of every path is compiled without counting references (``_nrt=False``): it
+makes no arrays, and the counting would take as long as the work.
 """
 
 from __future__ import annotations
@@ -73,66 +76,81 @@ def rows_for(lines, depth, reach):
     )
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy", _nrt=False)
 def gain_of(cell, chain, depth, rows, reach, out, line):
     """Gain of measuring ``cell`` after the ``depth`` lines ``chain`` of ``rows``; fills its own
     ``line`` of ``out``. −1 if the cell is known or on the path already."""
-    row = out.factor[line]
-    variance = reach.among[cell, cell]
+    # Whole arrays and two indices: a view of a row would be an object of its own each time.
+    cells, factor, row, among = rows.cell, rows.factor, out.factor, reach.among
     for j in range(depth):
-        if rows.cell[chain[j]] == cell:
+        if cells[chain[j]] == cell:
             return -1.0
-        value = reach.among[cell, rows.cell[chain[j]]]
-        above = rows.factor[chain[j]]
+    variance = among[cell, cell]
+    for j in range(depth):
+        above = chain[j]
+        value = among[cell, cells[above]]
         for i in range(j):
-            value -= row[i] * above[i]
-        row[j] = value / above[j]
-        variance -= row[j] * row[j]
+            value -= row[line, i] * factor[above, i]
+        value /= factor[above, j]
+        row[line, j] = value
+        variance -= value * value
     if variance <= reach.floor_db2:
         return -1.0
     total = variance + reach.noise_db2
-    row[depth] = np.sqrt(total)
+    row[line, depth] = np.sqrt(total)
     if reach.objective == Objective.ENTROPY:
         return 0.5 * np.log(total / reach.noise_db2)
     if reach.objective == Objective.MUTUAL_INFORMATION:
-        row_given = out.given[line]
-        given = reach.given_targets[cell, cell]
+        targets, factor, row = reach.given_targets, rows.given, out.given
+        given = targets[cell, cell]
         for j in range(depth):
-            value = reach.given_targets[cell, rows.cell[chain[j]]]
-            above = rows.given[chain[j]]
+            above = chain[j]
+            value = targets[cell, cells[above]]
             for i in range(j):
-                value -= row_given[i] * above[i]
-            row_given[j] = value / above[j]
-            given -= row_given[j] * row_given[j]
+                value -= row[line, i] * factor[above, i]
+            value /= factor[above, j]
+            row[line, j] = value
+            given -= value * value
         given = max(given, 0.0) + reach.noise_db2
-        row_given[depth] = np.sqrt(given)
+        row[line, depth] = np.sqrt(given)
         return 0.5 * np.log(total / given)
-    image = out.image[line]
-    n = reach.targets.shape[1]
-    source = reach.targets[cell]
+    images, image, source = rows.image, out.image, reach.targets
+    n, whole = source.shape[1], depth - depth % 4
     for x in range(n):
-        image[x] = source[x]
-    for j in range(depth):
-        weight, above = row[j], rows.image[chain[j]]
+        image[line, x] = source[cell, x]
+    for j in range(0, whole, 4):  # four at a time: the image is read and written less often
+        w0, w1, w2, w3 = row[line, j], row[line, j + 1], row[line, j + 2], row[line, j + 3]
+        k0, k1, k2, k3 = chain[j], chain[j + 1], chain[j + 2], chain[j + 3]
         for x in range(n):
-            image[x] -= weight * above[x]
-    scale = np.float32(1.0) / row[depth]
-    gain = np.float32(0.0)
+            value = image[line, x] - w0 * images[k0, x] - w1 * images[k1, x]
+            image[line, x] = value - w2 * images[k2, x] - w3 * images[k3, x]
+    for j in range(whole, depth):
+        weight, above = row[line, j], chain[j]
+        for x in range(n):
+            image[line, x] -= weight * images[above, x]
+    scale, gain = np.float32(1.0) / row[line, depth], np.float32(0.0)
     for x in range(n):
-        image[x] *= scale
-        gain += image[x] * image[x]
+        value = image[line, x] * scale
+        image[line, x] = value
+        gain += value * value
     return float(gain)
 
 
-@njit(cache=True)
-def copied(source, line, to, node, objective):
-    """Copy one line of rows to another."""
+@njit(cache=True, _nrt=False)
+def copied(source, line, to, node, depth, objective):
+    """Copy one line of rows, of ``depth`` entries, to another."""
     to.cell[node] = source.cell[line]
-    to.factor[node] = source.factor[line]
+    here, there = source.factor, to.factor
+    for j in range(depth):
+        there[node, j] = here[line, j]
     if objective == Objective.MUTUAL_INFORMATION:
-        to.given[node] = source.given[line]
+        here, there = source.given, to.given
+        for j in range(depth):
+            there[node, j] = here[line, j]
     if objective == Objective.VARIANCE:
-        to.image[node] = source.image[line]
+        here, there = source.image, to.image
+        for x in range(here.shape[1]):
+            there[node, x] = here[line, x]
 
 
 @njit(cache=True)

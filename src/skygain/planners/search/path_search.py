@@ -82,7 +82,7 @@ class Window(NamedTuple):
     """cells along a side"""
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _chain_of(node, before, chain):
     """Nodes measured on the way to the measured ``node``, earliest first, in ``chain``; returns how
     many."""
@@ -97,11 +97,12 @@ def _chain_of(node, before, chain):
     return depth
 
 
-@njit(cache=True)
-def _grow(uav, step, first, end, by_move, order, tree, layer, window, alone, reach, traffic, air):
+@njit(cache=True, _nrt=False)
+def _grow(
+    uav, step, first, end, by_move, order, chain, tree, layer, window, alone, reach, traffic, air
+):
     """Fill ``layer`` with the continuations of nodes ``first`` to ``end``; returns how many."""
     count, split, scratch = 0, 1 if by_move else 0, len(layer.line) - 1
-    chain = np.empty(step, dtype=np.int64)
     for node in range(first, end):
         row = window.top + tree.at[node] // window.side
         col = window.west + tree.at[node] % window.side
@@ -138,9 +139,9 @@ def _grow(uav, step, first, end, by_move, order, tree, layer, window, alone, rea
     return count
 
 
-@njit(cache=True)
-def _keep(chosen, end, tree, layer, objective):
-    """Add the ``chosen`` candidates to ``tree`` from node ``end`` on."""
+@njit(cache=True, _nrt=False)
+def _keep(chosen, end, step, tree, layer, objective):
+    """Add the ``chosen`` candidates of ``step`` to ``tree`` from node ``end`` on."""
     for k in range(len(chosen)):
         c, node = chosen[k], end + k
         tree.at[node], tree.parent[node] = layer.at[c], layer.parent[c]
@@ -150,7 +151,7 @@ def _keep(chosen, end, tree, layer, objective):
         if layer.cell[c] >= 0:
             tree.last[node], tree.before[node] = node, before
             layer.rows.cell[layer.line[c]] = layer.cell[c]
-            copied(layer.rows, layer.line[c], tree.rows, node, objective)
+            copied(layer.rows, layer.line[c], tree.rows, node, step, objective)
 
 
 @njit(cache=True)
@@ -200,17 +201,30 @@ def beam_path(
         np.arange(room + 1),
         rows_for(room + 1, horizon, reach),
     )
-    alone = gains_alone(reach)
+    alone, chain = gains_alone(reach), np.empty(horizon, dtype=np.int64)
     tree.at[0] = horizon * window.side + horizon
     first, end = 0, 1
     for step in range(1, horizon + 1):
         count = _grow(
-            uav, step, first, end, by_move, order, tree, layer, window, alone, reach, traffic, air
+            uav,
+            step,
+            first,
+            end,
+            by_move,
+            order,
+            chain,
+            tree,
+            layer,
+            window,
+            alone,
+            reach,
+            traffic,
+            air,
         )
         if count == 0:
             break
         chosen = np.argsort(-layer.value[:count], kind="mergesort")[:width]
-        _keep(chosen, end, tree, layer, reach.objective)
+        _keep(chosen, end, step, tree, layer, reach.objective)
         first, end = end, end + len(chosen)
     best = first
     for node in range(first, end):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from skygain.fields.planning import Conditioned, PlanningField
+from skygain.fields.planning import Conditioned, PlanningField, less_product
 from skygain.flight.moves import Cells
 from skygain.flight.swarm import Swarm
 from skygain.flight.ways import distances_within
@@ -145,13 +145,13 @@ class LocalReach:
         if len(planned):
             shares = self._explained(planned, np.concatenate([self.cells, self.targets]))
             mine, theirs = shares[:, : len(self.cells)], shares[:, len(self.cells) :]
-            among = among - mine.T @ mine
-            with_targets = with_targets - mine.T @ theirs
+            among = less_product(among.copy(), mine, mine)
+            with_targets = less_product(with_targets.copy(), mine, theirs)
         given_targets = np.zeros((0, 0), dtype=np.float32)
         if objective == Objective.MUTUAL_INFORMATION:
             known = np.unique(np.concatenate([planned, self.targets]), axis=0)
             shares = self._explained(known, self.cells)
-            given_targets = self.among - shares.T @ shares
+            given_targets = less_product(self.among.copy(), shares, shares)
         if objective == Objective.VARIANCE:
             with_targets = with_targets * self.root
         return Reach(

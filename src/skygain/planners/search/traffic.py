@@ -42,7 +42,7 @@ class Traffic(NamedTuple):
         return cls(paths, known, left, np.flatnonzero(near))
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     """Whether moving from (row, col) to (to_row, to_col) as move number ``step`` (from 1) keeps
     clear of the settled paths."""

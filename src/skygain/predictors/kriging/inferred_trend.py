@@ -29,7 +29,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.fields.gaussian_process import Flat, GaussianProcess, Innovation
+from skygain.fields.gaussian_process import Flat, GaussianProcess
 from skygain.fields.offset_sum import OffsetSum
 from skygain.fields.offsets import at_flat_offsets, offset_distance_m
 from skygain.predictors.kriging.parameters import CLOSEST_M, KrigingParameters
@@ -156,9 +156,9 @@ class InferredTrend(Trend):
             common=np.zeros(3),
         )
 
-    def extended(self, process: GaussianProcess, new: Innovation, gain_db: Array) -> InferredTrend:
-        constant, gain = new.rows.sum(axis=1), new.rows @ gain_db
-        distance = self.places.flown_sum(new.rows, process.cells)
+    def extended(self, process: GaussianProcess, rows: Array, gain_db: Array) -> InferredTrend:
+        constant, gain = rows.sum(axis=1), rows @ gain_db
+        distance = self.places.flown_sum(rows, process.cells)
         added = np.stack(
             [constant @ distance, np.einsum("nq,nq->q", distance, distance), gain @ distance]
         )

@@ -114,7 +114,7 @@ class KrigingState:
         return state
 
     def _with_batch(self, readings: Readings) -> KrigingState:
-        process, new = self.process.observed(readings.cells, readings.noise_db2)
+        process, rows = self.process.observed(readings.cells, readings.noise_db2)
         gain = np.concatenate([self.gain_db, readings.gain_db])
         exact, exact_gain = self.exact, self.exact_gain_db
         which = readings.noise_db2 == 0
@@ -122,7 +122,7 @@ class KrigingState:
             exact, exact_gain = exact.copy(), exact_gain.copy()
             exact[readings.cells[which]] = True
             exact_gain[readings.cells[which]] = readings.gain_db[which]
-        trend = self.trend.extended(process, new, gain)
+        trend = self.trend.extended(process, rows, gain)
         return replace(
             self, process=process, trend=trend, gain_db=gain, exact=exact, exact_gain_db=exact_gain
         )

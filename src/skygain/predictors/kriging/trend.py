@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.fields.gaussian_process import Flat, GaussianProcess, Innovation
+from skygain.fields.gaussian_process import Flat, GaussianProcess
 from skygain.predictors.kriging.parameters import KrigingParameters
 
 Array = NDArray[np.float64]
@@ -32,9 +32,9 @@ class Trend(ABC):
         """The same trend before any data, with other parameters."""
 
     @abstractmethod
-    def extended(self, process: GaussianProcess, new: Innovation, gain_db: Array) -> Trend:
-        """The trend after the observations that ``new`` stands for; ``process`` and ``gain_db[v]``
-        hold them already."""
+    def extended(self, process: GaussianProcess, rows: Array, gain_db: Array) -> Trend:
+        """The trend after the observations that added ``rows[n, v]`` to the inverse factor;
+        ``process`` and ``gain_db[v]`` hold them already."""
 
     @abstractmethod
     def mean(self, process: GaussianProcess) -> Array:
@@ -85,10 +85,8 @@ class FixedTrend(Trend):
     """``[k, k]`` HᵀH, both whitened"""
     score: Array
     """``[k]`` Hᵀ(y − Hθ₀), both whitened"""
-    shadowing: Array
-    """``[P]`` mean of the field for θ = θ₀"""
-    leftover: Array
-    """``[k, P]`` what of each column the observations do not explain at every cell"""
+    whitened: Array
+    """``[v, 1 + k]`` y − Hθ₀ and H, whitened"""
 
     @classmethod
     def unobserved(
@@ -103,24 +101,33 @@ class FixedTrend(Trend):
             prior_covariance=np.asarray(parameters.trend_covariance),
             information=np.zeros((k, k)),
             score=np.zeros(k),
-            shadowing=np.zeros(len(predicted_columns)),
-            leftover=predicted_columns.T,
+            whitened=np.empty((0, 1 + k)),
         )
 
     def restarted(self, parameters: KrigingParameters) -> FixedTrend:
         return FixedTrend.unobserved(self.flown_columns, self.predicted_columns, parameters)
 
-    def extended(self, process: GaussianProcess, new: Innovation, gain_db: Array) -> FixedTrend:
+    def extended(self, process: GaussianProcess, rows: Array, gain_db: Array) -> FixedTrend:
         h = self.flown_columns[process.cells]
-        columns = new.rows @ h
-        residual = new.rows @ (gain_db - h @ self.prior_mean)
+        columns = rows @ h
+        residual = rows @ (gain_db - h @ self.prior_mean)
         return replace(
             self,
             information=self.information + columns.T @ columns,
             score=self.score + columns.T @ residual,
-            shadowing=self.shadowing + residual @ new.maps,
-            leftover=self.leftover - columns.T @ new.maps,
+            whitened=np.concatenate([self.whitened, np.column_stack([residual, columns])]),
         )
+
+    def _maps(self, process: GaussianProcess) -> tuple[Array, Array]:
+        """Mean of the field for θ = θ₀, ``[P]``, and what of each column the observations do not
+        explain, ``[k, P]``."""
+        kept: tuple[Array, Array] | None = self.__dict__.get("_kept_maps")
+        if kept is None:
+            weights = process.factor.transposed_times(self.whitened)
+            explained = process.to_prediction.to_map(weights.T, process.cells)
+            kept = explained[0], self.predicted_columns.T - explained[1:]
+            self.__dict__["_kept_maps"] = kept
+        return kept
 
     @cached_property
     def coefficients(self) -> tuple[Array, Array]:
@@ -133,20 +140,20 @@ class FixedTrend(Trend):
         return self.prior_mean + covariance @ self.score, covariance
 
     def mean(self, process: GaussianProcess) -> Array:
-        theta, _ = self.coefficients
+        (theta, _), (shadowing, leftover) = self.coefficients, self._maps(process)
         return (
             self.predicted_columns @ self.prior_mean
-            + self.shadowing
-            + (theta - self.prior_mean) @ self.leftover
+            + shadowing
+            + (theta - self.prior_mean) @ leftover
         )
 
     def variance(self, process: GaussianProcess) -> Array:
-        _, covariance = self.coefficients
-        return np.einsum("kp,kp->p", self.leftover, covariance @ self.leftover)
+        (_, covariance), (_, leftover) = self.coefficients, self._maps(process)
+        return np.einsum("kp,kp->p", leftover, covariance @ leftover)
 
     def covariance(self, process: GaussianProcess, first: Flat, second: Flat) -> Array:
-        _, covariance = self.coefficients
-        return self.leftover[:, first].T @ covariance @ self.leftover[:, second]
+        (_, covariance), (_, leftover) = self.coefficients, self._maps(process)
+        return leftover[:, first].T @ covariance @ leftover[:, second]
 
     def at(
         self, process: GaussianProcess, gain_db: Array, cell: int, whitened: Array
