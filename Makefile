@@ -41,8 +41,8 @@ check: test lint types docs
 	$(PYTHON) -c 'import sys; sys.exit("Skygain needs Python 3.11 or newer, found " + sys.version) if sys.version_info < (3, 11) else None'
 	$(PYTHON) -m venv .venv || { echo "the venv module is missing: apt-get install python3-venv"; rm -rf .venv; exit 1; }
 
-.venv/demo.stamp: .venv/bin/python pyproject.toml $(CONSTRAINTS)
-	$(PIP) --editable . --editable packages/paper-weights
+.venv/demo.stamp: .venv/bin/python pyproject.toml $(CONSTRAINTS) packages/install.py
+	$(BIN)/python packages/install.py $(CONSTRAINTS)
 	@touch $@
 
 .venv/test.stamp: .venv/demo.stamp

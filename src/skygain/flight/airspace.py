@@ -6,6 +6,9 @@ the same rules in Numba and the two ways planners turn wishes into legal steps: 
 (`resolve_step`), and routes that ignore the other UAVs (`followed`). Both keep to one order of
 decision: if all first wishes fit together they are flown; otherwise the UAVs choose one after
 another, each leaving alone the cells that undecided UAVs hold, so that hovering stays possible.
+
+Cells are assigned number by number: Numba takes a second longer to compile each assignment of a
+whole row.
 """
 
 from __future__ import annotations
@@ -195,7 +198,7 @@ def _search_step(now, ranks, left, air, then):
             choice[k] = -1
             k -= 1
             continue
-        then[k] = now[k]
+        then[k, 0], then[k, 1] = now[k, 0], now[k, 1]
         if left[k] > 0:
             if choice[k] < 4:
                 then[k, 0] += DROW[ranks[k, choice[k]]]
@@ -227,8 +230,13 @@ def resolve_step(now, score, left, margin, air, then):
                     )
     ranks = np.empty((n, 4), dtype=np.int64)
     for uav in range(n):
-        ranks[uav] = np.argsort(-wish[uav], kind="mergesort")
-        then[uav] = now[uav]
+        for m in range(4):  # sorted by insertion: equals keep their order
+            k = m
+            while k > 0 and wish[uav, ranks[uav, k - 1]] < wish[uav, m]:
+                ranks[uav, k] = ranks[uav, k - 1]
+                k -= 1
+            ranks[uav, k] = m
+        then[uav, 0], then[uav, 1] = now[uav, 0], now[uav, 1]
         if left[uav] > 0:
             for k in range(4):
                 m = ranks[uav, k]
@@ -253,7 +261,7 @@ def resolve_step(now, score, left, margin, air, then):
     legal = np.zeros(4, dtype=np.bool_)
     stranded = False
     for uav in range(n):
-        then[uav] = now[uav]
+        then[uav, 0], then[uav, 1] = now[uav, 0], now[uav, 1]
         if legal_moves(uav, now, then, decided, left, air, legal) > 0:
             for k in range(4):
                 if legal[ranks[uav, k]]:
@@ -273,7 +281,8 @@ def _fly_routes(start, left, horizon, route, begin, margin, air):
     n = len(start)
     rows, cols = air.flyable.shape
     paths = np.empty((n, horizon + 1, 2), dtype=np.int64)
-    paths[:, 0] = start
+    for u in range(n):
+        paths[u, 0, 0], paths[u, 0, 1] = start[u, 0], start[u, 1]
     left = left.copy()
     at = begin[:-1].copy()  # index into route of the last route cell reached
     target = np.full(n, -1)  # where a UAV off its route means to rejoin it
@@ -327,9 +336,9 @@ def _fly_routes(start, left, horizon, route, begin, margin, air):
                 ):
                     at[u], target[u] = k, -1
                     break
-            paths[u, step + 1] = then[u]
+            paths[u, step + 1, 0], paths[u, step + 1, 1] = then[u, 0], then[u, 1]
+            now[u, 0], now[u, 1] = then[u, 0], then[u, 1]
             left[u] = max(left[u] - 1, 0)
-        now[:] = then
     return paths, horizon
 
 

@@ -71,15 +71,16 @@ def _walk(start, left, last, draws, p, margin, air):
     steps succeeded."""
     horizon, n, _ = draws.shape
     paths = np.empty((n, horizon + 1, 2), dtype=np.int64)
-    paths[:, 0] = start
+    for u in range(n):
+        paths[u, 0, 0], paths[u, 0, 1] = start[u, 0], start[u, 1]
     left, last = left.copy(), last.copy()
     now, then = start.copy(), start.copy()
     score = np.empty((n, 4))
     for step in range(horizon):
         for u in range(n):
-            score[u] = draws[
-                step, u, 1:
-            ]  # the highest of four uniform draws is a uniform choice among any legal subset
+            # the highest of four uniform draws is a uniform choice among any legal subset
+            for m in range(4):
+                score[u, m] = draws[step, u, 1 + m]
             if last[u] >= 0 and draws[step, u, 0] < p:
                 score[u, last[u]] = 2.0
         if not resolve_step(now, score, left, margin, air, then):
@@ -89,6 +90,6 @@ def _walk(start, left, last, draws, p, margin, air):
                 if then[u, 0] - now[u, 0] == DROW[m] and then[u, 1] - now[u, 1] == DCOL[m]:
                     last[u] = m
             left[u] = max(left[u] - 1, 0)
-            paths[u, step + 1] = then[u]
-        now[:] = then
+            paths[u, step + 1, 0], paths[u, step + 1, 1] = then[u, 0], then[u, 1]
+            now[u, 0], now[u, 1] = then[u, 0], then[u, 1]
     return paths, horizon

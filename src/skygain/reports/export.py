@@ -16,6 +16,7 @@ __all__ = [
 ]
 
 import csv
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,26 +110,30 @@ def write_radio_map_nc(outcome: Outcome, path: Path) -> str | None:
     Returns:
         A note when the CRS could only be named because the geo extra is missing, else ``None``.
     """
-    dataset, note = outcome_dataset(outcome)
+    content, note = _netcdf(outcome)
     if note:
         note = f"{path.name} {note}"
-    numbers = {
-        name: {"zlib": True, "complevel": 4}
-        for name in dataset.data_vars
-        if dataset[name].ndim == 2
-    }
-    # HDF5 ends the process when the disk fills while it writes, so it writes to memory.
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=numbers)
     with atomic_write(path) as tmp:
         tmp.write_bytes(content)
     return note
 
 
-def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
-    """The NetCDF's content, and what could not be said about the CRS."""
+def outcome_dataset(outcome: Outcome) -> xr.Dataset:
+    """What `write_radio_map_nc` writes, read back."""
     import xarray as xr
 
-    grid, dims = outcome.grid, ("y", "x")
+    return xr.load_dataset(io.BytesIO(_netcdf(outcome)[0]), engine="h5netcdf")
+
+
+def _netcdf(outcome: Outcome) -> tuple[bytes, str | None]:
+    """The NetCDF's content, and what could not be said about the CRS.
+
+    HDF5 ends the process when the disk fills while it writes, so it writes to memory. It is written
+    without xarray, whose import would take longer than all the rest.
+    """
+    import h5netcdf
+
+    grid = outcome.grid
     what, unit, level = outcome.quantity, outcome.unit, outcome.unit.lower()
     layers: dict[str, tuple[np.ndarray, str, str]] = {
         f"mean_{level}": (outcome.mean_db.astype(np.float32), unit, f"estimated {what}"),
@@ -159,41 +164,43 @@ def outcome_dataset(outcome: Outcome) -> tuple[xr.Dataset, str | None]:
             unit,
             f"true {what}",
         )
-    dataset = xr.Dataset(
-        {
-            name: (dims, values, {"units": unit, "long_name": text})
-            for name, (values, unit, text) in layers.items()
-        },
-        coords={
-            "y": (
-                "y",
-                grid.y_m,
-                {"units": "m", "axis": "Y", "long_name": "northing of the cell centre"},
-            ),
-            "x": (
-                "x",
-                grid.x_m,
-                {"units": "m", "axis": "X", "long_name": "easting of the cell centre"},
-            ),
-        },
-        attrs={"Conventions": "CF-1.11", **_facts(outcome)},
-    )
-    if grid.crs is None:
-        return dataset, None
-    note = None
-    try:
-        mapping = require("pyproj", "geo").CRS.from_user_input(grid.crs).to_cf()
-        for axis, name in (("x", "projection_x_coordinate"), ("y", "projection_y_coordinate")):
-            dataset[axis].attrs["standard_name"] = name
-    except MissingExtraError:
-        mapping = {}
-        note = f"names the CRS {grid.crs} without its definition: {install_command('geo')}"
-    west, _, _, north = grid.bounds_m
-    mapping["GeoTransform"] = f"{west!r} {grid.spacing_m!r} 0.0 {north!r} 0.0 {-grid.spacing_m!r}"
-    dataset = dataset.assign_coords(spatial_ref=((), 0, {"crs": grid.crs, **mapping}))
-    for name in layers:
-        dataset[name].attrs["grid_mapping"] = "spatial_ref"
-    return dataset, note
+    axes = {
+        "y": (grid.y_m, {"axis": "Y", "long_name": "northing of the cell centre"}),
+        "x": (grid.x_m, {"axis": "X", "long_name": "easting of the cell centre"}),
+    }
+    mapping, note = {}, None
+    if grid.crs is not None:
+        try:
+            mapping = require("pyproj", "geo").CRS.from_user_input(grid.crs).to_cf()
+            axes["y"][1]["standard_name"] = "projection_y_coordinate"
+            axes["x"][1]["standard_name"] = "projection_x_coordinate"
+        except MissingExtraError:
+            note = f"names the CRS {grid.crs} without its definition: {install_command('geo')}"
+        west, _, _, north = grid.bounds_m
+        transform = f"{west!r} {grid.spacing_m!r} 0.0 {north!r} 0.0 {-grid.spacing_m!r}"
+        mapping = {"crs": grid.crs, **mapping, "GeoTransform": transform}
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        file.attrs.update({"Conventions": "CF-1.11", **_facts(outcome)})
+        file.dimensions = {"y": grid.shape[0], "x": grid.shape[1]}
+        for name, (positions_m, text) in axes.items():
+            one = file.create_variable(name, (name,), data=positions_m, fillvalue=np.nan)
+            one.attrs.update({"units": "m", **text})
+        if mapping:
+            file.create_variable("spatial_ref", data=0).attrs.update(mapping)
+        for name, (values, unit, text) in layers.items():
+            one = file.create_variable(
+                name,
+                ("y", "x"),
+                data=values,
+                fillvalue=np.nan if values.dtype.kind == "f" else None,
+                compression="gzip",
+                compression_opts=4,
+            )
+            one.attrs.update({"units": unit, "long_name": text})
+            if mapping:
+                one.attrs.update({"grid_mapping": "spatial_ref", "coordinates": "spatial_ref"})
+    return content.getvalue(), note
 
 
 def write_results_json(outcome: Outcome, path: Path) -> None:

@@ -24,7 +24,7 @@ class Flown(Outcome, Shown):
 
     def to_xarray(self) -> xr.Dataset:
         """Everything of ``radio_map.nc``: estimate, uncertainty, readings, truth, buildings."""
-        return outcome_dataset(self)[0]
+        return outcome_dataset(self)
 
     def plot(self) -> Figure:
         """Truth, estimate, error and uncertainty."""

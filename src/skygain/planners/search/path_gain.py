@@ -178,7 +178,7 @@ def path_value(path, reach: Reach):
     """Objective of one path ``[k + 1, (row, col)]``, its first cell not counted."""
     n = len(path)
     rows, chain = rows_for(n, n, reach), np.arange(n)
-    depth, total = 0, 0.0
+    depth, total = np.int64(0), 0.0  # a plain 0 would compile `gain_of` once more
     for k in range(1, n):
         cell = reach.number[path[k, 0], path[k, 1]]
         if cell < 0:

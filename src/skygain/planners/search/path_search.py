@@ -203,7 +203,7 @@ def beam_path(
     )
     alone, chain = gains_alone(reach), np.empty(horizon, dtype=np.int64)
     tree.at[0] = horizon * window.side + horizon
-    first, end = 0, 1
+    first, end = np.int64(0), np.int64(1)  # plain numbers would compile `_grow` and `_keep` twice
     for step in range(1, horizon + 1):
         count = _grow(
             uav,
@@ -239,8 +239,8 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
     turning back pays."""
     path = np.empty((horizon + 1, 2), dtype=np.int64)
     best = np.empty((horizon + 1, 2), dtype=np.int64)
-    path[0] = start
-    best[0] = start
+    path[0, 0], path[0, 1] = start[0], start[1]
+    best[0, 0], best[0, 1] = start[0], start[1]
     choice = np.full(horizon + 1, -1)
     values = np.zeros(horizon + 1)
     depths = np.zeros(horizon + 1, dtype=np.int64)  # measured cells up to each step
@@ -252,7 +252,8 @@ def exact_path(uav, start, horizon, order, reach: Reach, traffic: Traffic, air: 
         if step == horizon or choice[step] > 3:
             if step > best_length or (step == best_length and values[step] > best_value):
                 best_length, best_value = step, values[step]
-                best[: step + 1] = path[: step + 1]
+                for k in range(step + 1):
+                    best[k, 0], best[k, 1] = path[k, 0], path[k, 1]
             choice[step] = -1
             step -= 1
             continue
