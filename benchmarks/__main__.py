@@ -7,6 +7,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     cities,
     combined,
     evaluations,
+    first_minutes,
     foreign,
     kriging,
     learning,
