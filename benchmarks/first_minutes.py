@@ -19,6 +19,7 @@ PAGE = Path("surveys/demo/report.html")
 STAGES = (("make", ".venv/demo.stamp"), ("make", "demo"))
 """what is timed apart: the packages, and the flight with all that it compiles for the first time"""
 FOREIGN = {"PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "NUMBA_CACHE_DIR", "VIRTUAL_ENV", "DISPLAY"}
+FOREIGN |= {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONPYCACHEPREFIX"}
 """variables that a newcomer's shell does not have"""
 
 
