@@ -17,12 +17,13 @@ from skygain.propagation.diffraction import free_space_gain_db, over_rooftop_gai
 from skygain.propagation.launching.antenna import Antenna
 from skygain.propagation.launching.corners import edge_windows
 from skygain.propagation.launching.geometry import city_geometry
-from skygain.propagation.launching.launch import _SHARES, Launching, _Launch, launch_gain_db
+from skygain.propagation.launching.launch import Launching, _Launch, launch_gain_db
 from skygain.propagation.launching.materials import (
     GROUND_THICKNESS_M,
     WALL_THICKNESS_M,
     slab_table,
 )
+from skygain.propagation.launching.sight import edge_rows
 from skygain.propagation.mesh import city_buildings, clear_of_plane
 
 ALTITUDE_M = 10.0
@@ -99,14 +100,11 @@ def each_edge(city: City, site: NDArray[np.float64], settings: Launching) -> lis
         seen, edges.origin_m, edges.along, edges.length_m, edges.normals, job._world
     )
     scale = (wavelength_m(settings.frequency_hz) / (4 * np.pi)) ** 2
-    maps = []
-    for number in np.flatnonzero(found):
-        alone = np.zeros_like(found)
-        alone[number] = found[number]
-        out = np.zeros((1, *city.grid.shape))
-        job._edges(int(number) % _SHARES, seen, windows, alone, out)
-        maps.append(scale * out[0])
-    return maps
+    rows = edge_rows(seen, edges, windows, found)
+    return [
+        scale * job._edge_power(rows[number : number + 1], altitudes)[0]
+        for number in np.flatnonzero(found)
+    ]
 
 
 def edge_ratios(city: City, site: NDArray[np.float64], theirs: Map) -> list[float]:

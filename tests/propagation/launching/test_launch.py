@@ -54,6 +54,17 @@ def test_threads_do_not_change_a_byte() -> None:
     assert one.gain_db.tobytes() == three.gain_db.tobytes()
 
 
+def test_altitudes_together_are_each_alone() -> None:
+    """Bit patterns of altitudes and the groups they are cut into leave nothing behind."""
+    city, transmitter = city_of(STREET), (10.0, 10.0, 1.5)
+    settings = replace(QUICK, azimuths=512)
+    many = [2.0 + 0.75 * k for k in range(35)]
+    together = launch_gain_db(city, transmitter, many, settings=settings).gain_db[0]
+    for k in (0, 11, 31, 34):
+        alone = launch_gain_db(city, transmitter, [many[k]], settings=settings).gain_db[0, 0]
+        assert np.array_equal(alone, together[k])
+
+
 def test_ends_can_be_swapped() -> None:
     """The gain from A to B is that from B to A, diffraction included."""
     grid = Grid(shape=(240, 240), spacing_m=0.5, origin_m=(0.25, 0.25))

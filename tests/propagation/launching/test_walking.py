@@ -16,9 +16,7 @@ TOWER = box(60, 10, 80, 50, 12.0)
 
 def stopped(buildings: list[Building], a: tuple[float, ...], b: tuple[float, ...]) -> bool:
     g = city_geometry(city_of(buildings), buildings, [0] * len(buildings))
-    return bool(
-        blocker(*a, *b, -1, g.walls, g.first, g.listed, g.tallest_m, g.frame, g.ground_m) >= 0
-    )
+    return bool(blocker(*a, *b, g.walls, g.first, g.listed, g.tallest_m, g.frame, g.ground_m) >= 0)
 
 
 @pytest.mark.parametrize(

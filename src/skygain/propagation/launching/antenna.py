@@ -10,11 +10,11 @@ __all__ = ["Antenna", "amplitude", "sector_gain_dbi"]
 import math
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
+from skygain.propagation.launching.compiled import inner
 
 _AZIMUTHS, _ELEVATIONS = 361, 181
 
@@ -94,7 +94,7 @@ def sector_gain_dbi(
     return peak_dbi - np.minimum(across + up, floor_db)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def amplitude(pattern: NDArray[np.float64], azimuth: float, sine: float) -> float:
     """Amplitude of a pattern in a direction: azimuth in radians, sine of the elevation."""
     degrees = math.degrees(azimuth) % 360.0

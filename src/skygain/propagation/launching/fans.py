@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.propagation.launching.compiled import inner
 from skygain.propagation.launching.following import (
     MOST_REFLECTIONS,
     begin,
@@ -173,7 +174,7 @@ def _divided(xy, faces, fans, halvings, compared, world, fan):
     return parts
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _inside_wedge(azimuth, faces):
     x, y = math.cos(azimuth), math.sin(azimuth)
     return x * faces[0, 0] + y * faces[0, 1] <= 1e-9 and x * faces[1, 0] + y * faces[1, 1] <= 1e-9

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 __all__ = ["at_ground", "at_wall", "coefficients"]
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from skygain.propagation.launching.compiled import inner
 
-@numba.njit(cache=True, nogil=True)
+
+@inner
 def coefficients(
     table: NDArray[np.complex128], material: int, cosine: float
 ) -> tuple[complex, complex]:
@@ -27,7 +28,7 @@ def coefficients(
     return te, tm
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def at_wall(
     e_v: complex,
     e_h: complex,
@@ -54,7 +55,7 @@ def at_wall(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def at_ground(
     e_v: complex, e_h: complex, sine: float, table: NDArray[np.complex128], material: int
 ) -> tuple[complex, complex]:

@@ -17,6 +17,7 @@ import numba
 import numpy as np
 
 from skygain.propagation.launching.antenna import amplitude
+from skygain.propagation.launching.compiled import inner
 from skygain.propagation.launching.fields import at_ground, at_wall, coefficients
 from skygain.propagation.launching.pieces import MOST, inside, outside
 from skygain.propagation.launching.walking import FAR, entry, next_wall
@@ -34,7 +35,7 @@ _NEAREST_M = 0.05
 """the spreading of a ray is cut off at this length"""
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _lanes(pieces, n, z, altitudes, over_ground, lanes, numbers):
     """Where along a branch each altitude is met: lengths and rise, and (altitude, by ground)."""
     k = 0
@@ -65,7 +66,7 @@ def _lanes(pieces, n, z, altitudes, over_ground, lanes, numbers):
     return k
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _power(s, rise, mirrored, turn, met, kinds, w, field, pattern, azimuth, table, ground):
     """|E|² of the ray of a branch that has the unfolded length ``s``.
 
@@ -92,7 +93,7 @@ def _power(s, rise, mirrored, turn, met, kinds, w, field, pattern, azimuth, tabl
     return power
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _bent_power(s, rise, mirrored, turn, met, kinds, w, physics, bend):
     """`_power` of a branch that has come round the corner of a ``bend``; of the corner ``met`` has
     the length alone."""
@@ -121,14 +122,14 @@ def _bent_power(s, rise, mirrored, turn, met, kinds, w, physics, bend):
     return power
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def strength(s, rise, met, kinds, w, field, pattern, azimuth, table, ground):
     """|E|² of a branch at the length ``s``, its spreading included."""
     power = _power(s, rise, 0, 0.0, met, kinds, w, field, pattern, azimuth, table, ground)
     return power / (s * s + rise * rise)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _round_corner(e_v, e_h, sine, flat, near, s, material, table, bend):
     """The field behind a vertical corner, its spreading included."""
     _at, faces, plan, theory, e_in, e_out, incoming, outgoing, edge = bend
@@ -199,7 +200,7 @@ def bend_of(at, faces, plan, theory):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def _note(book, corner, s, z, dx, dy, roofed, w, n, t, azimuth, scratch):
     """Write down that the branch in row ``t`` of ``scratch`` reaches a corner."""
     place, slopes, _counts, met, kinds, _entered, _entered_s, _lanes_of, _numbers = scratch

@@ -44,6 +44,7 @@ from skygain.propagation.launching.materials import (
     slab_table,
 )
 from skygain.propagation.launching.rays import launch_sector
+from skygain.propagation.launching.sight import edge_rows
 from skygain.propagation.launching.wedge import transition_table
 from skygain.propagation.mesh import city_buildings, risen
 
@@ -52,6 +53,8 @@ MODEL_VERSION = 2
 
 _SHARES = 8
 """into how many parts the work is cut, whatever the number of threads"""
+_ALTITUDES = 32
+"""most altitudes whose diffraction is computed together"""
 _ON_WALL_M = 1e-3
 """a transmitter nearer to a wall than this stands on it"""
 
@@ -235,11 +238,14 @@ class _Launch:
         """``[altitude, row, col]`` mean of |E|² for a unit field at unit length."""
         corners = vertical_corners(self.geometry) if self.settings.combined else None
         books = [new_book(corners) if corners else empty_book() for _ in range(_SHARES)]
-        power = self._shared(lambda share, out: self._rays(share, transmitter, books[share], out))
+        count = len(self.altitudes)
+        power = self._shared(
+            lambda share, out: self._rays(share, transmitter, books[share], out), count
+        )
         if corners is not None and self.settings.diffraction:
             chosen = self._arrivals(books)
             power += self._shared(
-                lambda share, out: self._fans(corners, books[share], chosen[share], out)
+                lambda share, out: self._fans(corners, books[share], chosen[share], out), count
             )
         power /= area_m2
         if self.settings.diffraction and len(self.geometry.edges.length_m):
@@ -252,9 +258,10 @@ class _Launch:
                 edges.normals,
                 self._world,
             )
-            power += self._shared(
-                lambda share, out: self._edges(share, transmitter, windows, found, out)
-            )
+            rows = edge_rows(transmitter, edges, windows, found)
+            for first in range(0, len(self.altitudes), _ALTITUDES):
+                some = slice(first, first + _ALTITUDES)
+                power[some] += self._edge_power(rows, self.altitudes[some])
         return power
 
     @property
@@ -267,9 +274,11 @@ class _Launch:
         wave_number = 2 * np.pi / wavelength_m(self.settings.frequency_hz)
         return wave_number, _transition(), self.settings.wedge == "sionna"
 
-    def _shared(self, work: Callable[[int, NDArray[np.float64]], object]) -> NDArray[np.float64]:
+    def _shared(
+        self, work: Callable[[int, NDArray[np.float64]], object], altitudes: int
+    ) -> NDArray[np.float64]:
         """Do all shares of a work and add their sums in order."""
-        shape = (len(self.altitudes), *self.city.grid.shape)
+        shape = (altitudes, *self.city.grid.shape)
         total = np.zeros(shape)
 
         def done(share: int) -> NDArray[np.float64]:
@@ -358,35 +367,35 @@ class _Launch:
             out,
         )
 
-    def _edges(
-        self,
-        share: int,
-        transmitter: NDArray[np.float64],
-        windows: NDArray[np.float64],
-        found: NDArray[np.int64],
-        out: NDArray[np.float64],
-    ) -> None:
-        edges = self.geometry.edges
-        indoors = np.stack([self.city.obstructed(float(h)) for h in self.altitudes])
+    def _edge_power(
+        self, rows: NDArray[np.float64], altitudes: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What edges (`edge_rows`) diffract to some altitudes."""
+        shape = self.city.grid.shape
+        outdoors = np.zeros(shape, dtype=np.int64)
+        for j, altitude in enumerate(altitudes):
+            outdoors |= (~self.city.obstructed(float(altitude))).astype(np.int64) << j
+        walled = walled_cells(altitudes, shape, self._world)
         west, south, _, _ = self.city.grid.bounds_m
-        antenna = (self.antenna.field, self.antenna.pattern)
-        diffract_edges(
-            share,
-            len(found),
-            _SHARES,
-            transmitter,
-            (edges.origin_m, edges.along, edges.normals, edges.material),
-            windows,
-            found,
-            (self._theory, *antenna, self.slabs),
-            self.altitudes,
-            indoors,
-            walled_cells(self.altitudes, out.shape, self._world),
-            (west, south, self.city.grid.spacing_m),
-            np.stack(np.polynomial.legendre.leggauss(self.settings.points)),
-            self._world,
-            out,
-        )
+        physics = (self._theory, self.antenna.field, self.antenna.pattern, self.slabs)
+
+        def diffract(share: int, out: NDArray[np.float64]) -> None:
+            diffract_edges(
+                share,
+                len(rows),
+                _SHARES,
+                rows,
+                physics,
+                altitudes,
+                outdoors,
+                walled,
+                (west, south, self.city.grid.spacing_m),
+                np.stack(np.polynomial.legendre.leggauss(self.settings.points)),
+                self._world,
+                out,
+            )
+
+        return self._shared(diffract, len(altitudes))
 
 
 @lru_cache(maxsize=1)

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 __all__ = ["MOST", "inside", "outside"]
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from skygain.propagation.launching.compiled import inner
 
 MOST = 12
 """most intervals in a list; the shortest are left out beyond it"""
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def outside(pieces: NDArray[np.float64], n: int, low: float, high: float) -> int:
     """Take the interval (low, high) away from ``pieces[:n]``, in place; returns how many remain."""
     if low >= high:
@@ -49,7 +50,7 @@ def outside(pieces: NDArray[np.float64], n: int, low: float, high: float) -> int
     return k
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def inside(
     pieces: NDArray[np.float64],
     n: int,

@@ -9,13 +9,14 @@ import math
 import numba
 import numpy as np
 
+from skygain.propagation.launching.compiled import inner
 from skygain.propagation.launching.following import begin as begin_branch
 from skygain.propagation.launching.following import bend_of, follow, new_scratch
 from skygain.propagation.launching.walking import FAR, entry, next_wall
 from skygain.propagation.launching.wedge import no_theory
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def signature(azimuth, source, depth, world):
     """The walls that the ray of an azimuth meets in plan, one after the other, as one number."""
     walls, _owner, first, listed, tallest, frame, _ground = world

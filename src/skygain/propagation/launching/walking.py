@@ -6,13 +6,15 @@ a hair before one that it enters at the same place, so that touching buildings a
 
 from __future__ import annotations
 
-__all__ = ["FAR", "HILL", "blocker", "entry", "next_wall"]
+__all__ = ["FAR", "HILL", "blocker", "entry", "next_wall", "stopped", "unblocked"]
 
 import math
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from skygain.propagation.launching.compiled import inner
 
 FAR = 1e30
 """stands for infinity in compiled code"""
@@ -23,7 +25,7 @@ _HAIR_M = 2e-6
 """by how much leaving comes before entering"""
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def entry(
     x: float, y: float, dx: float, dy: float, frame: NDArray[np.float64], rows: int, cols: int
 ) -> tuple[float, float]:
@@ -44,7 +46,7 @@ def entry(
     return low, high
 
 
-@numba.njit(cache=True, nogil=True)
+@inner
 def next_wall(
     x: float,
     y: float,
@@ -69,16 +71,15 @@ def next_wall(
         w = listed[k]
         if w == skip:
             continue
-        wall = walls[w]
-        across = dx * wall[4] + dy * wall[5]
+        across = dx * walls[w, 4] + dy * walls[w, 5]
         if abs(across) < 1e-12:
             continue
-        u = ((wall[0] - x) * wall[4] + (wall[1] - y) * wall[5]) / across
+        u = ((walls[w, 0] - x) * walls[w, 4] + (walls[w, 1] - y) * walls[w, 5]) / across
         if u < -1e-9 or u >= best_u + _HAIR_M:
             continue
         # the place on the wall, between its ends
-        ex, ey = wall[2] - wall[0], wall[3] - wall[1]
-        place = (x + u * dx - wall[0]) * ex + (y + u * dy - wall[1]) * ey
+        ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+        place = (x + u * dx - walls[w, 0]) * ex + (y + u * dy - walls[w, 1]) * ey
         length2 = ex * ex + ey * ey
         if place < -1e-9 * length2 or place > (1.0 + 1e-9) * length2:
             continue
@@ -91,40 +92,56 @@ def next_wall(
     return best_u, best
 
 
-@numba.njit(cache=True, nogil=True)
-def _stops(
-    wall: NDArray[np.float64],
+@inner
+def stopped(
+    w: int,
+    walls: NDArray[np.float64],
     x0: float,
     y0: float,
-    z0: float,
     dx: float,
     dy: float,
-    rise: float,
     length: float,
-) -> bool:
-    """Whether a wall stands in a line from a point, of a plan direction, rise and length."""
-    across = dx * wall[4] + dy * wall[5]
+    low: NDArray[np.float64],
+    rise: NDArray[np.float64],
+    open_lines: int,
+) -> int:
+    """Which of ``open_lines`` a wall leaves open; all have one plan, from a point in a direction.
+
+    Line j, bit j of the number, starts at the height ``low[j]`` and rises ``rise[j]`` a metre.
+    """
+    across = dx * walls[w, 4] + dy * walls[w, 5]
     if abs(across) < 1e-12:
-        return False
-    at = ((wall[0] - x0) * wall[4] + (wall[1] - y0) * wall[5]) / across
+        return open_lines
+    at = ((walls[w, 0] - x0) * walls[w, 4] + (walls[w, 1] - y0) * walls[w, 5]) / across
     if at < 1e-3 or at > length - 1e-3:
-        return False
-    z = z0 + rise * at
-    if z >= wall[7] or z <= wall[6] > 0.0:
-        return False
-    ex, ey = wall[2] - wall[0], wall[3] - wall[1]
-    place = (x0 + at * dx - wall[0]) * ex + (y0 + at * dy - wall[1]) * ey
-    return 0.0 <= place <= ex * ex + ey * ey
+        return open_lines
+    base, top = walls[w, 6], walls[w, 7]
+    hit, rest, j = 0, open_lines, 0
+    while rest:
+        if rest & 1:
+            z = low[j] + rise[j] * at
+            if z < top and not (z <= base > 0.0):
+                hit |= 1 << j
+        rest >>= 1
+        j += 1
+    if hit == 0:
+        return open_lines
+    ex, ey = walls[w, 2] - walls[w, 0], walls[w, 3] - walls[w, 1]
+    place = (x0 + at * dx - walls[w, 0]) * ex + (y0 + at * dy - walls[w, 1]) * ey
+    if 0.0 <= place <= ex * ex + ey * ey:
+        return open_lines & ~hit
+    return open_lines
 
 
-@numba.njit(cache=True, nogil=True)
-def blocker(
+@inner
+def unblocked(
     x0: float,
     y0: float,
-    z0: float,
     x1: float,
     y1: float,
-    z1: float,
+    low: NDArray[np.float64],
+    rise: NDArray[np.float64],
+    open_lines: int,
     hint: int,
     walls: NDArray[np.float64],
     first: NDArray[np.int64],
@@ -132,27 +149,33 @@ def blocker(
     tallest: NDArray[np.float64],
     frame: NDArray[np.float64],
     ground: NDArray[np.float64],
-) -> int:
-    """A wall that stands between two points, -1 if there is none, `HILL` if the ground does.
+) -> tuple[int, int]:
+    """Which of ``open_lines`` between two places nothing stands in, and what stopped the last.
 
-    Walls met within a millimetre of an end do not count, so that an end may lie on one. Walls
-    are met from inside too: a line that enters through a roof is stopped where it would leave.
-    The wall ``hint`` (-1 for none) is tried first: what stopped a neighbour often stops this line.
+    The lines have one plan and heights of their own, as in `stopped`; the other number is a wall,
+    -1 if there is none, or `HILL` for the ground. Walls met within a millimetre of an end do not
+    count, so that an end may lie on one. Walls are met from inside too: a line that enters through
+    a roof is stopped where it would leave. The wall ``hint`` (-1 for none) is tried first: what
+    stopped a neighbour often stops these lines.
     """
     rows, cols = tallest.shape
     dx, dy = x1 - x0, y1 - y0
     length = math.hypot(dx, dy)
     if length < 2e-3:
-        return -1
+        return open_lines, -1
     dx /= length
     dy /= length
-    rise = (z1 - z0) / length
-    if hint >= 0 and _stops(walls[hint], x0, y0, z0, dx, dy, rise, length):
-        return hint
+    last = -1
+    if hint >= 0:
+        left = stopped(hint, walls, x0, y0, dx, dy, length, low, rise, open_lines)
+        if left != open_lines:
+            open_lines, last = left, hint
+            if left == 0:
+                return 0, hint
     begin, end = entry(x0, y0, dx, dy, frame, rows, cols)
     end = min(end, length)
     if begin >= end:
-        return -1
+        return open_lines, last
     side = frame[2]
     gx, gy = x0 + begin * dx - frame[0], y0 + begin * dy - frame[1]
     c = min(max(math.floor(gx / side), 0), cols - 1)
@@ -168,14 +191,24 @@ def blocker(
     relief = len(ground) > 0
     while u < end:
         leave = min(next_x, next_y, end)
-        if relief and z0 + rise * 0.5 * (u + leave) < ground[r, c]:
-            return HILL
-        lowest = z0 + rise * (u if rise > 0 else leave)
+        lowest, rest, j = FAR, open_lines, 0
+        while rest:
+            if rest & 1:
+                if relief and low[j] + rise[j] * 0.5 * (u + leave) < ground[r, c]:
+                    open_lines, last = open_lines & ~(1 << j), HILL
+                lowest = min(lowest, low[j] + rise[j] * (u if rise[j] > 0 else leave))
+            rest >>= 1
+            j += 1
         if lowest < tallest[r, c]:
             cell = r * cols + c
             for k in range(first[cell], first[cell + 1]):
-                if _stops(walls[listed[k]], x0, y0, z0, dx, dy, rise, length):
-                    return int(listed[k])
+                left = stopped(listed[k], walls, x0, y0, dx, dy, length, low, rise, open_lines)
+                if left != open_lines:
+                    open_lines, last = left, int(listed[k])
+                    if left == 0:
+                        break
+        if open_lines == 0:
+            break
         u = leave
         if next_x < next_y:
             next_x += pace_x
@@ -185,4 +218,28 @@ def blocker(
             r += step_r
         if c < 0 or c >= cols or r < 0 or r >= rows:
             break
-    return -1
+    return open_lines, last
+
+
+@numba.njit(cache=True, nogil=True)
+def blocker(
+    x0: float,
+    y0: float,
+    z0: float,
+    x1: float,
+    y1: float,
+    z1: float,
+    walls: NDArray[np.float64],
+    first: NDArray[np.int64],
+    listed: NDArray[np.int64],
+    tallest: NDArray[np.float64],
+    frame: NDArray[np.float64],
+    ground: NDArray[np.float64],
+) -> int:
+    """What stands between two points: a wall, -1 for nothing, `HILL` for the ground."""
+    length = max(math.hypot(x1 - x0, y1 - y0), 1e-9)
+    low, rise = np.full(1, z0), np.full(1, (z1 - z0) / length)
+    _left, last = unblocked(
+        x0, y0, x1, y1, low, rise, 1, -1, walls, first, listed, tallest, frame, ground
+    )
+    return last
