@@ -13,8 +13,7 @@ SHAPE, SPACING = (5, 6), 4.0
 def posterior(rng):
     """Three models on 30 cells with four readings taken in."""
     residual = ResidualField.empty(CorrelationModel(), SHAPE, SPACING)
-    for cell in [(0, 0), (2, 3), (2, 4), (4, 1)]:
-        residual, _ = residual.grown(cell, 0.0)
+    residual, _ = residual.grown(np.array([0, 15, 16, 25]), np.zeros(4))
     weight = np.array([0.5, 0.3, 0.2], dtype=np.float32)
     means = rng.normal(-100, 10, (3, 30)).astype(np.float32)
     stds = rng.uniform(5, 12, (3, 30)).astype(np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skygain.networks.quantised import GROUP, dequantised, quantised
+from skygain.networks.quantised import CENTRE, GROUP, dequantised, multipliable, quantised
 from skygain.networks.weights import read_weights, write_weights
 
 
@@ -40,3 +40,16 @@ def test_a_weight_file_is_read_unpacked(tmp_path, rng):
     assert found.card["name"] == "test"
     assert np.allclose(found.arrays["weight"], weight, atol=0.02)
     assert {a.dtype for a in found.arrays.values()} == {np.dtype(np.float32)}
+
+
+def test_codes_multiply_as_the_matrix_does(rng):
+    weight, x = rng.normal(size=(6, 3 * GROUP)), rng.normal(size=3 * GROUP).astype(np.float32)
+    arrays = quantised("w", weight, 4)
+    codes, whole = multipliable(arrays), dequantised(arrays)["w"]
+    packed = codes["w.q4"].astype(int)
+    code = np.stack([packed & 15, packed >> 4], axis=-1).reshape(6, 3, GROUP)
+    groups = x.reshape(3, GROUP)
+    product = ((code - CENTRE) * groups).sum(-1) * codes["w.step"].reshape(6, 3)
+    product += codes["w.middle"] * groups.sum(-1)
+    assert np.allclose(product.sum(-1), whole @ x, atol=1e-4)
+    assert multipliable(quantised("w", weight, 8)) == {}

@@ -17,11 +17,13 @@ from __future__ import annotations
 __all__ = ["MixturePosterior"]
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skygain.fields.offsets import at_offsets
+from skygain.fields.planning import less_product
 from skygain.posterior import JointPosterior
 
 Floats = NDArray[np.float32]
@@ -52,16 +54,27 @@ class MixturePosterior(JointPosterior):
         cells = np.asarray(cells, dtype=np.int64)
         others = cells if others is None else np.asarray(others, dtype=np.int64)
         a, b = self._flat(cells), self._flat(others)
-        shared = at_offsets(self.correlation, cells, others) - self.tie**2 * (
-            self.whitened[:, a].T @ self.whitened[:, b]
-        )
-        root = np.sqrt(self.weight)[:, None]
-        apart = self.means_db - self.weight @ self.means_db
-        joint = shared * ((root * self.stds_db[:, a]).T @ (root * self.stds_db[:, b]))
-        joint += (root * apart[:, a]).T @ (root * apart[:, b])
+        stds, apart = self._by_cell
+        here, there = self._whitened_at(a), self._whitened_at(b)
+        joint = less_product(at_offsets(self.correlation, cells, others), here, there)
+        joint *= stds[a] @ stds[b].T
+        joint += apart[a] @ apart[b].T
         joint[self.known[a]] = 0.0
         joint[:, self.known[b]] = 0.0
-        return self.factor * joint.astype(float)
+        return joint.astype(float)
+
+    @cached_property
+    def _by_cell(self) -> tuple[Floats, Floats]:
+        """``[row * col, c]`` of every cell: √(factor·w_c) s_c and √(factor·w_c) (m_c − m)."""
+        root = np.sqrt(self.factor * self.weight)
+        apart = self.means_db - self.weight @ self.means_db
+        stds, apart = (np.ascontiguousarray(maps.T) * root for maps in (self.stds_db, apart))
+        return stds, apart
+
+    def _whitened_at(self, flat: NDArray[np.int64]) -> Floats:
+        """``[n, cell]`` of raveled cells, times the tie."""
+        columns = np.take(self.whitened, flat, axis=1)
+        return columns if self.tie == 1.0 else columns * np.float32(self.tie)
 
     def _flat(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
         return cells[:, 0] * self.mean_db.shape[1] + cells[:, 1]

@@ -9,8 +9,8 @@ the same for every model. Then the factor L of the correlation matrix of the mea
 L⁻¹ R(measured, all cells)
 serve all models at once: u_c = L⁻¹ z_c gives the likelihood of model c (−½ |u_c|² − Σ log s_c) and
 its Kriging mean m_c + s_c Wᵀu_c, with variance s_c² (1 − Σ W²). A new measurement appends one row
-to L, W and u (a column of W *is* the new row of L), so an update costs n·cells multiplications and
-nothing is ever solved again.
+to L, W and u (a column of W *is* the new row of L), so it costs n·cells multiplications and nothing
+is ever solved again; those of one update are taken in together.
 """
 
 from __future__ import annotations
@@ -94,29 +94,40 @@ class ResidualField:
         """``[n, row * col]`` L⁻¹ R(measured, all cells)."""
         return self.buffer[: self.size]
 
-    def grown(self, cell: tuple[int, int], noise_share: float) -> tuple[ResidualField, Array]:
-        """This field after one more measurement, and the row ``[n]`` of L that ties it to the
-        earlier ones.
+    def grown(
+        self, cells: NDArray[np.int64], noise_share: NDArray[np.floating]
+    ) -> tuple[ResidualField, Array]:
+        """This field after k more measurements at raveled ``cells[k]``, and the rows ``[k, n + k]``
+        of L that belong to them.
 
-        ``noise_share`` is the noise variance over the model's variance at that cell.
+        ``noise_share[k]`` is the noise variance over the model's variance at each cell.
         """
-        row, col = cell
-        n, flat = self.size, row * self.table.shape[1] + col
+        n, k, cols = self.size, len(cells), self.table.shape[1]
         buffer, used = self.buffer, self.used
-        if n == len(buffer) or used[0] != n:  # full, or another field already grew from this one
-            buffer = np.empty(
-                (max(64, 2 * n if n == len(buffer) else len(buffer)), self.table.size),
-                dtype=np.float32,
-            )
+        if n + k > len(buffer) or used[0] != n:  # full, or another field already grew from this one
+            room = len(buffer)
+            while room < n + k:
+                room *= 2
+            buffer = np.empty((room, self.table.size), dtype=np.float32)
             buffer[:n] = self.W
             used = [n]
-        tie = buffer[:n, flat].copy()
-        pivot = np.sqrt(max(float(self.left[flat]), 0.0) + noise_share + SMALLEST_VARIANCE)
-        correlation = seen_from(self.table, row, col).ravel()
-        np.divide(correlation - tie @ buffer[:n], pivot, out=buffer[n])
-        used[0] = n + 1
-        left = np.maximum(self.left - buffer[n] ** 2, 0.0)
-        diagonal = np.append(self.diagonal, np.float32(pivot))
+        rows = np.zeros((k, n + k), dtype=np.float32)
+        rows[:, :n] = buffer[:n, cells].T
+        fresh = buffer[n : n + k]
+        for i, cell in enumerate(cells.tolist()):
+            fresh[i] = seen_from(self.table, *divmod(cell, cols)).ravel()
+        fresh -= rows[:, :n] @ buffer[:n]
+        left = self.left
+        for i, cell in enumerate(cells.tolist()):
+            rows[i, n : n + i] = fresh[:i, cell]
+            if i:
+                fresh[i] -= rows[i, n : n + i] @ fresh[:i]
+            variance = max(float(left[cell]), 0.0) + float(noise_share[i]) + SMALLEST_VARIANCE
+            rows[i, n + i] = pivot = np.float32(np.sqrt(variance))
+            fresh[i] /= pivot
+            left = np.maximum(left - fresh[i] ** 2, 0.0)
+        used[0] = n + k
+        diagonal = np.append(self.diagonal, rows[np.arange(k), n + np.arange(k)])
         return replace(
-            self, buffer=buffer, used=used, size=n + 1, left=left, diagonal=diagonal
-        ), tie
+            self, buffer=buffer, used=used, size=n + k, left=left, diagonal=diagonal
+        ), rows

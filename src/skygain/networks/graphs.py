@@ -11,6 +11,7 @@ __all__ = ["definition_for", "export_onnx", "graph_of", "write_graph"]
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from skygain.networks.operator.features import CHANNELS as PATH_CHANNELS
 from skygain.networks.policies.inputs import FAR, FAR_CHANNELS, NEAR, NEAR_CHANNELS, NUMBERS
 from skygain.networks.policies.planes import PLANES
 from skygain.networks.policies.weights import definition_of
+from skygain.networks.quantised import GROUP
 from skygain.networks.runtime import DEFINITIONS, GRAPH_KEY, Definition
 from skygain.networks.scales import (
     FREE_SPACE_5GHZ_DB,
@@ -41,6 +43,8 @@ from skygain.networks.weights import Weights, graph_file, read_weights
 
 OPSET, IR_VERSION = 17, 8
 """old enough for every ONNX Runtime that `pyproject.toml` allows"""
+MICROSOFT = "com.microsoft"
+"""domain of the operations that only ONNX Runtime has"""
 HEADS = 4
 """attention heads, where the card does not say"""
 
@@ -65,10 +69,12 @@ class _Graph:
         )
 
     def weight(self, name: str) -> str:
-        if name not in self.weights.arrays:
+        array = self.weights.arrays.get(name, self.weights.codes.get(name))
+        if array is None:
             raise self.misfit(name)
-        tensor = TensorProto(name=name, data_type=TensorProto.FLOAT)
-        tensor.dims.extend(self.weights.arrays[name].shape)
+        whole = array.dtype == np.uint8
+        tensor = TensorProto(name=name, data_type=TensorProto.UINT8 if whole else TensorProto.FLOAT)
+        tensor.dims.extend(array.shape)
         tensor.data_location = TensorProto.EXTERNAL
         tensor.external_data.add(key="location", value="weights")
         self.used[name] = tensor
@@ -108,8 +114,24 @@ class _Graph:
         return self.node("Relu", x)
 
     def dense(self, x: str, name: str) -> str:
+        if f"{name}.weight.q4" in self.weights.codes:
+            return self.coded(x, f"{name}.weight", f"{name}.bias")
         weight, bias = self.weight(f"{name}.weight"), self.weight(f"{name}.bias")
         return self.node("Gemm", x, weight, bias, transB=1)
+
+    def coded(self, x: str, name: str, bias: str) -> str:
+        """A dense layer whose matrix stays in 4 bits, see `quantised.multipliable`."""
+        out, groups = self.weights.codes[f"{name}.middle"].shape
+        self.used[name] = TensorProto()  # nobody asks for it unpacked
+        size = {"K": groups * GROUP, "N": out, "bits": 4, "block_size": GROUP}
+        inputs = x, self.weight(f"{name}.q4"), self.weight(f"{name}.step")
+        product = self.node("MatMulNBits", *inputs, domain=MICROSOFT, **size)
+        grouped = self.reshape(x, [-1, groups, GROUP])
+        sums = self.node("ReduceSum", grouped, self.constant([2], np.int64), keepdims=0)
+        middle = self.weight(f"{name}.middle")
+        return self.node(
+            "Add", product, self.node("Gemm", sums, middle, self.weight(bias), transB=1)
+        )
 
     def channel(self, x: str, index: int) -> str:
         return self.node("Gather", x, self.constant(index, np.int64), axis=1)
@@ -197,18 +219,40 @@ SAME = [1, 1, 2, 2]
 """zeros around a map for a 4 × 4 filter: one row and column more to the north and east"""
 
 
-def _upsampled(g: _Graph, x: str, name: str) -> str:
-    """A 4 × 4 convolution of the map upsampled twofold as a 3 × 3 one with four outputs each, see
-    `skygain.networks.unets.paper`."""
-    out, into = g.shape(f"{name}.weight")[:2]
-    taps = np.zeros((6, 4))  # (phase, tap of three) by tap of four
-    taps[[0, 1, 1, 2], [0, 1, 2, 3]] = taps[[4, 4, 5, 5], [0, 1, 2, 3]] = 1
-    rows = g.node("MatMul", g.constant(taps), g.weight(f"{name}.weight"))
-    both = g.node("MatMul", rows, g.constant(taps.T))
-    phases = g.node("Transpose", g.reshape(both, [out, into, 2, 3, 2, 3]), perm=[0, 2, 4, 1, 3, 5])
-    y = g.node("Conv", x, g.reshape(phases, [4 * out, into, 3, 3]), pads=[1, 1, 1, 1])
-    y = g.node("DepthToSpace", y, blocksize=2, mode="CRD")
-    return g.node("Add", y, g.reshape(g.weight(f"{name}.bias"), [1, out, 1, 1]))
+def _upsampled(g: _Graph, x: str, skip: str, name: str, activation: str) -> str:
+    """A 4 × 4 convolution of two maps upsampled twofold as four smaller ones of each, of three taps
+    for even and of two for odd rows and columns, see `skygain.networks.unets.paper`."""
+    taps = np.zeros(
+        (2, 3, 4)
+    )  # phase, tap of three, tap of four; the first tap of odd ones is none
+    taps[0, [0, 1, 1, 2], range(4)] = taps[1, [1, 1, 2, 2], range(4)] = 1
+    parts = []
+    for row, col in np.ndindex(2, 2):
+        above = g.node("MatMul", g.constant(taps[row, row:]), g.weight(f"{name}.weight"))
+        both = g.node("MatMul", above, g.constant(taps[col, col:].T))
+        pads = [1 - row, 1 - col, 1, 1]
+        mine, skipped = g.node("Split", both, outputs=2, axis=1)
+        y = g.node("Conv", x, mine, g.weight(f"{name}.bias"), pads=pads)
+        z = g.node("Conv", skip, skipped, pads=pads)
+        parts.append(g.node(activation, g.node("Add", y, z)))
+    joined = g.node("Concat", *parts, axis=1)
+    return g.node("DepthToSpace", joined, blocksize=2, mode="DCR")
+
+
+def _last(g: _Graph, x: str, name: str) -> str:
+    """A 4 × 4 convolution with one output as a 7 × 7 one of stride 4 with sixteen, which a
+    processor computes together."""
+    into = g.shape(f"{name}.weight")[1]
+    taps = np.zeros((4, 7, 4))  # output of four, tap of seven, tap of four
+    for k in range(4):
+        taps[k, range(k, k + 4), range(4)] = 1
+    rows = g.node("MatMul", g.constant(taps.reshape(28, 4)), g.weight(f"{name}.weight"))
+    both = g.node("MatMul", rows, g.constant(taps.reshape(28, 4).T))
+    apart = g.reshape(both, [into, 4, 7, 4, 7])
+    filters = g.reshape(g.node("Transpose", apart, perm=[1, 3, 0, 2, 4]), [16, into, 7, 7])
+    y = g.node("Conv", x, filters, pads=SAME, strides=[4, 4])
+    whole = g.node("DepthToSpace", y, blocksize=4)
+    return g.node("Add", whole, g.reshape(g.weight(f"{name}.bias"), [1, 1, 1, 1]))
 
 
 def _paper_one(g: _Graph, name: str, activation: str) -> str:
@@ -222,9 +266,8 @@ def _paper_one(g: _Graph, name: str, activation: str) -> str:
     y = g.node(activation, g.dense(g.node("Flatten", x), f"{name}.dense"))
     y = g.reshape(y, [-1, g.shape(f"{name}.encoder.7.weight")[0], 6, 6])
     for k, skip in enumerate((8, 7, 5, 3)):
-        joined = g.node("Concat", y, layers[skip - 1], axis=1)
-        y = g.node(activation, _upsampled(g, joined, f"{name}.decoder.{k}"))
-    out = g.conv(g.node("Concat", y, layers[0], axis=1), f"{name}.last", SAME)
+        y = _upsampled(g, y, layers[skip - 1], f"{name}.decoder.{k}", activation)
+    out = _last(g, g.node("Concat", y, layers[0], axis=1), f"{name}.last")
     return g.channel(out, 0)
 
 
@@ -343,7 +386,7 @@ def export_onnx(name: str, path: str | Path, *, weights: str | Path | None = Non
     Raises:
         InputError: no such network or weights, or those of another network.
     """
-    found = read_weights(name if weights is None else weights)
+    found = replace(read_weights(name if weights is None else weights), codes={})
     model = _model(definition_for(name, found), found)
     for tensor in model.graph.initializer:
         if tensor.data_location == TensorProto.EXTERNAL:
@@ -364,11 +407,12 @@ def _model(definition: Definition, weights: Weights) -> ModelProto:
         definition.name,
         [_input(name, definition.name, g) for name in definition.inputs],
         [_value(name, None) for name in definition.outputs],
-        list(g.used.values()),
+        [tensor for tensor in g.used.values() if tensor.name],
     )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
-    )
+    imports = [helper.make_opsetid("", OPSET)]
+    if weights.codes:
+        imports.append(helper.make_opsetid(MICROSOFT, 1))
+    model = helper.make_model(graph, opset_imports=imports, ir_version=IR_VERSION)
     model.metadata_props.add(key=GRAPH_KEY, value=definition.name)
     return model
 

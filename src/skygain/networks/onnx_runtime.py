@@ -1,6 +1,6 @@
 """Networks on ONNX Runtime, the default.
 
-The graph of a network stands in a file of a few kilobytes beside its weights and holds none of
+The graph of a network stands in a file of some kilobytes beside its weights and holds none of
 them: they are handed over when the session begins. Where that file is missing, as for weights
 trained here, the graph is made anew if the package ``onnx`` is installed.
 """
@@ -52,7 +52,7 @@ def function(definition: Definition, weights: Weights) -> Function:
 
         graph = graph_of(definition, weights)
     try:
-        run = session(graph, weights.arrays)
+        run = session(graph, weights.handed)
         kind = run.get_modelmeta().custom_metadata_map.get(GRAPH_KEY)
     except Exception as error:  # the library's errors have no common base of their own
         reason = str(error).splitlines()[0]

@@ -1,13 +1,14 @@
 """Large weight matrices in 4 or 8 bits: what lets a dense layer of 21 million weights ship.
 
 A matrix is cut into groups of consecutive weights of a row. Each group keeps its smallest value and
-a step in float16, and every weight the nearest of the 16 or 256 values in between. Only the file is
-small; a loaded network computes in float32.
+a step in float16, and every weight the nearest of the 16 or 256 values in between. A network
+computes in float32; on ONNX Runtime matrices of 4 bits stay as they are and are multiplied with
+directly, which takes an eighth of the memory's time.
 """
 
 from __future__ import annotations
 
-__all__ = ["GROUP", "dequantised", "quantised"]
+__all__ = ["CENTRE", "GROUP", "dequantised", "multipliable", "quantised"]
 
 from collections.abc import Mapping
 
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 GROUP = 64
 """weights that share a smallest value and a step"""
+CENTRE = 8
+"""code of 4 bits that a multiplication takes for nothing"""
 SUFFIXES = (".q4", ".q8", ".low", ".step")
 
 
@@ -62,4 +65,22 @@ def dequantised(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         weight *= step[..., None]
         weight += low[..., None]
         out[name] = weight.reshape(len(code), -1)
+    return out
+
+
+def multipliable(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """What multiplies with matrices of 4 bits as they are: ``{name.q4, name.step, name.middle}``.
+
+    A weight is low + step·code = step·(code − 8) + middle, so a product with x is one with the
+    codes ``q4[out, group, byte]`` and one of ``middle[out, group]`` with the sums of x over groups;
+    ``step[out * group]``.
+    """
+    out: dict[str, NDArray] = {}
+    for key, code in arrays.items():
+        name, _, kind = key.rpartition(".")
+        if kind == "q4":
+            low, step = (arrays[f"{name}.{part}"].astype(np.float32) for part in ("low", "step"))
+            out[key] = code.reshape(*low.shape, GROUP // 2)
+            out[f"{name}.step"] = step.ravel()
+            out[f"{name}.middle"] = low + CENTRE * step
     return out

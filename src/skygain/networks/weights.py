@@ -25,7 +25,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError, install_command
 from skygain.ground.files import atomic_write
-from skygain.networks.quantised import dequantised, quantised
+from skygain.networks.quantised import dequantised, multipliable, quantised
 
 LARGE = 1_000_000
 """weights beyond which a matrix is worth quantising"""
@@ -57,6 +57,15 @@ class Weights:
     """by name, in float32"""
     card: dict[str, Any]
     """data, recipe, scores"""
+    codes: dict[str, NDArray] = field(default_factory=dict)
+    """of matrices that the file holds in 4 bits, what multiplies without unpacking them, see
+    `skygain.networks.quantised.multipliable`"""
+
+    @property
+    def handed(self) -> dict[str, NDArray]:
+        """What ONNX Runtime is given by name: the arrays, matrices of 4 bits as `codes`."""
+        plain = {k: v for k, v in self.arrays.items() if f"{k}.q4" not in self.codes}
+        return plain | self.codes
 
     @property
     def task(self) -> dict[str, Any]:
@@ -119,7 +128,7 @@ def read_weights(name: str | Path) -> Weights:
         averaged = [key for key in keys if key.startswith(AVERAGE)]
         arrays = {key.removeprefix(AVERAGE): file.get_tensor(key) for key in averaged or keys}
     floats = {key: value.astype(np.float32) for key, value in dequantised(arrays).items()}
-    return Weights(path, floats, card)
+    return Weights(path, floats, card, multipliable(arrays))
 
 
 def read_card(path: Path) -> dict[str, Any]:

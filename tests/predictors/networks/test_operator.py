@@ -130,23 +130,28 @@ def test_the_field_is_the_textbook_gaussian_process(rng):
     shape = (9, 11)
     field, cells = ResidualField.empty(model, shape, 4.0), rng.permutation(99)[:12]
     noise = rng.random(12)
-    for cell, share in zip(cells, noise, strict=True):
-        field, _ = field.grown(divmod(int(cell), 11), float(share))
+    L = np.zeros((12, 12))
+    for first, end in ((0, 1), (1, 4), (4, 12)):  # one by one or together
+        field, rows = field.grown(cells[first:end], noise[first:end])
+        L[first:end, :end] = rows
     rows, cols = np.divmod(np.arange(99), 11)
     R = model.table(shape, 4.0)[np.abs(rows[:, None] - rows), np.abs(cols[:, None] - cols)].astype(
         float
     )
     K = R[np.ix_(cells, cells)] + np.diag(noise + SMALLEST_VARIANCE)
+    assert np.allclose(L, np.linalg.cholesky(K), atol=1e-4)
     expected = np.linalg.solve(np.linalg.cholesky(K), R[cells])
     assert np.allclose(field.W, expected, atol=1e-4)
     assert np.allclose(field.left, 1 - (expected**2).sum(0), atol=1e-4)
 
 
 def test_an_older_field_survives_a_branch():
-    field, _ = ResidualField.empty(CorrelationModel(), (6, 6), 4.0).grown((1, 1), 0.0)
+    exact = np.zeros(1)
+    empty = ResidualField.empty(CorrelationModel(), (6, 6), 4.0)
+    field, _ = empty.grown(np.array([7]), exact)
     before = field.W.copy()
-    field.grown((2, 2), 0.0)
-    other, _ = field.grown((5, 5), 0.0)
+    field.grown(np.array([14]), exact)
+    other, _ = field.grown(np.array([35]), exact)
     assert np.array_equal(field.W, before)
     assert other.W[1].argmax() == 35
 

@@ -26,6 +26,8 @@ LOG_DISTANCE = CHANNELS.index("log_distance")
 USED = tuple(i for i, name in enumerate(CHANNELS) if not name.startswith("direction"))
 """channels the model sees; the compass direction of one path means nothing"""
 HIDDEN = 48
+TOGETHER = 1024
+"""paths looked at together: what comes between the layers stays in the processor's cache"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +62,17 @@ class PathModel:
         self, features: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(mean in dB, standard deviation) from ``features[..., channel]``."""
-        x = features[..., USED]
-        for matrix, offset in self.layers[:-1]:
-            x = np.maximum(x @ matrix + offset, 0.0)
-        matrix, offset = self.layers[-1]
-        out = x @ matrix + offset
+        flat = features.reshape(-1, features.shape[-1])
+        out = np.empty((len(flat), 2), dtype=np.float32)
+        for first in range(0, len(flat), TOGETHER):
+            x = flat[first : first + TOGETHER, USED]
+            for matrix, offset in self.layers[:-1]:
+                x = x @ matrix
+                x += offset
+                np.maximum(x, 0.0, out=x)
+            matrix, offset = self.layers[-1]
+            out[first : first + TOGETHER] = x @ matrix + offset
+        out = out.reshape(*features.shape[:-1], 2)
         mean = FREE_SPACE_5GHZ_DB - 20.0 * (features[..., LOG_DISTANCE] + 2.0) + 20.0 * out[..., 0]
         return mean, np.exp(np.clip(math.log(10.0) + out[..., 1], math.log(1.0), math.log(40.0)))
 

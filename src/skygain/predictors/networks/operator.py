@@ -388,15 +388,16 @@ class OperatorBelief(Belief):
         noise_share = noise_db2 / self._scale_at(cells)
         places = np.stack(np.divmod(cells, self.scenario.grid.shape[1]), axis=-1)
         soft, z, std = self._residuals(self.candidates, cells, gain, noise_db2)
-        for k, (row, col) in enumerate(places.tolist()):
-            residual, tie = residual.grown((row, col), float(noise_share[k]))
-            whitened = np.concatenate(
-                [whitened, (soft[k] - tie @ whitened)[None] / residual.diagonal[-1]]
-            )
+        residual, rows = residual.grown(cells, noise_share)
+        old = len(self.cells)
+        news = solve_triangular(
+            rows[:, old:], soft - rows[:, :old] @ whitened, lower=True, check_finite=False
+        )
+        whitened = np.concatenate([whitened, news])
         return replace(
             self,
             whitened=whitened,
-            terms=self.terms + self._terms(z, whitened[len(self.cells) :], std, gain),
+            terms=self.terms + self._terms(z, news, std, gain),
             search=None
             if self.search is None
             else self.search.grown(self.maps, places, gain, self.settings.sharpen),
