@@ -92,7 +92,7 @@ def test_what_was_not_flown_is_flown_first_in_the_next_plan(
     ingest(folder, write_log(site, first, tmp_path / "cut.csv", share=0.4))
     ingest(folder, *(write_log(site, f, tmp_path / f"{f.uav}.csv") for f in rest))
     with Mission.opened(folder) as mission:
-        missed = np.concatenate(left_over(mission, site))
+        missed = np.concatenate([run.cells for run in left_over(mission, site)])
     planned = {tuple(cell) for cell in first.cells.tolist()}
     assert {tuple(cell) for cell in missed.tolist()} <= planned
     told = run_plan(MissionPlanRequest(folder=folder), SILENT)

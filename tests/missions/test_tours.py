@@ -18,8 +18,8 @@ from skygain.missions.rehearsal import rehearse
 from skygain.missions.site import open_site
 from skygain.missions.sortie import Flight, Sortie, corners
 from skygain.missions.streets import Streets
-from skygain.missions.timing import ROUNDING_M
-from skygain.missions.tours import find_tours
+from skygain.missions.timing import ROUNDING_M, way_seconds
+from skygain.missions.tours import Start, find_tours, plan_tours
 from skygain.survey.methods import planner, predictor
 from tests.missions.test_planning import AREA, SOLID, ZONE
 from tests.missions.town import mission_request
@@ -130,6 +130,23 @@ def test_uavs_have_their_own_parts(sortie: Sortie) -> None:
     read = [{tuple(cell) for cell in f.read_cells.tolist()} for f in sortie.flights]
     every = [cell for one in read for cell in one]
     assert len(set(every)) >= 0.8 * len(every)
+
+
+def test_tours_that_took_too_long_are_cut_together(site, streets: Streets, monkeypatch) -> None:
+    """Tours found with more time than there is come home in time, and still part the area."""
+    belief = ahead_of(predictor("kriging-blind").begin(site.scenario))
+    starts = [Start(uav, site.pads[uav].xy_m[None], 60.0) for uav in range(3)]
+    found = find_tours
+
+    def generous(joined, lessons, begins, homes, seconds, *rest):
+        return found(joined, lessons, begins, homes, [1.4 * s for s in seconds], *rest)
+
+    monkeypatch.setattr("skygain.missions.tours.find_tours", generous)
+    flights = [each[0] for each in plan_tours(site, belief, starts, 1.0, weighted=True)]
+    assert all(way_seconds(f.route_m, f.speed_mps, f.stops) <= 60.0 for f in flights)
+    read = [{tuple(cell) for cell in f.read_cells.tolist()} for f in flights]
+    every = [cell for one in read for cell in one]
+    assert len(set(every)) >= 0.7 * len(every)
 
 
 def test_rounded_corners_have_room(sortie: Sortie) -> None:

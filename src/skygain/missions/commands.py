@@ -143,7 +143,7 @@ def run_ingest(request: MissionIngestRequest, progress: Progress) -> str:
         lines = []
         for log in intake.logs:
             lines += [str(log), *(f"  note: {note}" for note in log.notes)]
-        missed = sum(map(len, left_over(mission, site)))
+        missed = sum(len(run.cells) for run in left_over(mission, site))
     if not intake.new:
         lines.append("nothing new: these readings are in the mission already")
     elif missed:

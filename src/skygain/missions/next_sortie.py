@@ -7,13 +7,12 @@ __all__ = ["left_over", "next_sortie", "open_sortie"]
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skygain.ground.errors import InputError
 from skygain.missions.folder import Mission
 from skygain.missions.imagined import ahead_of, with_expected
 from skygain.missions.journal import POSTED
-from skygain.missions.planning import plan_sortie
+from skygain.missions.planning import Leftover, plan_sortie
 from skygain.missions.site import Site
 from skygain.missions.sortie import Sortie
 from skygain.missions.state import known_belief, readings_so_far
@@ -97,9 +96,9 @@ def next_sortie(
     return sortie, False
 
 
-def left_over(mission: Mission, site: Site) -> list[NDArray[np.int64]]:
-    """Runs of cells ``[k, (row, col)]`` that the last sortie with readings planned, and that nobody
-    has read since; shorter ones than a few cells are left to the planner."""
+def left_over(mission: Mission, site: Site) -> list[Leftover]:
+    """What the last sortie with readings planned and nobody has read since; less than a few cells
+    are left to the planner."""
     flown = mission.flown()
     sorties = [s for s in mission.sorties() if s.number in flown]
     if not sorties:
@@ -117,5 +116,5 @@ def left_over(mission: Mission, site: Site) -> list[NDArray[np.int64]]:
         edges = np.flatnonzero(np.diff(np.r_[False, missed, False]))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             if last - first >= _FEWEST:
-                runs.append(flight.cells[first:last])
+                runs.append(Leftover.of(flight, int(first), int(last), site.grid))
     return runs

@@ -6,10 +6,10 @@ choose cells one after another, and their stairs are straightened.
 
 from __future__ import annotations
 
-__all__ = ["check_battery", "expected_error", "plan_sortie", "staggered"]
+__all__ = ["Leftover", "check_battery", "expected_error", "plan_sortie", "staggered"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,13 @@ from threadpoolctl import threadpool_limits
 from skygain.flight.airspace import followed
 from skygain.flight.swarm import FlightRules, Swarm
 from skygain.flight.ways import steps_between
+from skygain.grid import Grid
 from skygain.ground.errors import InputError
 from skygain.missions.clearance import straightened
 from skygain.missions.imagined import ahead_of, with_expected
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, Sortie, corners, flight_along
-from skygain.missions.timing import clear_delays, way_seconds
+from skygain.missions.timing import TICK_S, clear_delays, way_seconds
 from skygain.missions.tours import Start, plan_tours
 from skygain.planners.base import Planner
 from skygain.planners.sequential_greedy import SequentialGreedyPlanner
@@ -40,6 +41,29 @@ _STAGGER_S = 5.0
 Told = Callable[[int, int], None]
 
 
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """A part of a flight that was planned and not flown."""
+
+    cells: NDArray[np.int64]
+    """``[k, (row, col)]`` cells to be read, in order"""
+    legs_m: NDArray[np.float64]
+    """``[n, (x, y)]`` clear legs over them"""
+
+    @classmethod
+    def of(cls, flight: Flight, first: int, last: int, grid: Grid) -> Leftover:
+        """What of a flight leads over its cells from number ``first`` on, to before ``last``."""
+        moments_s = flight.moments_s(grid.xy_m(flight.cells[:last]))
+        line, (start_s, end_s) = flight.timeline, moments_s[[first, -1]]
+        between = flight.route_m[(line.reached_s > start_s) & (line.reached_s < end_s), :2]
+        ends = line.ticks_m[np.rint(np.array([start_s, end_s]) / TICK_S).astype(int), :2]
+        return cls(flight.cells[first:last], corners(np.vstack([ends[0], between, ends[1]])))
+
+    def reversed(self) -> Leftover:
+        """The same flown the other way round."""
+        return Leftover(self.cells[::-1], self.legs_m[::-1])
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def plan_sortie(
     site: Site,
@@ -49,7 +73,7 @@ def plan_sortie(
     *,
     number: int = 1,
     uavs: Sequence[int] | None = None,
-    leftover: Sequence[NDArray[np.int64]] = (),
+    leftover: Sequence[Leftover] = (),
     told: Told = lambda done, total: None,
 ) -> Sortie:
     """The flights that teach most, each within its battery and clear of everything and everyone.
@@ -61,8 +85,7 @@ def plan_sortie(
         rng: the planner's randomness.
         number: of the sortie.
         uavs: numbers of those that fly; all when left out.
-        leftover: runs of cells ``[k, (row, col)]`` that were planned before and not flown; they are
-            flown first.
+        leftover: what was planned before and not flown; it is flown first.
         told: hears how many steps of how many are planned.
 
     Raises:
@@ -91,7 +114,7 @@ def plan_sortie(
     planned = np.unique(np.concatenate([f.read_cells for f in flights]), axis=0)
     after_db = expected_error(site, with_expected(belief, planned))
     cells = {tuple(cell) for cell in planned.tolist()}
-    refly = sum(tuple(c) in cells for run in leftover for c in run.tolist())
+    refly = sum(tuple(c) in cells for run in leftover for c in run.cells.tolist())
     return Sortie(number, tuple(flights), before_db, after_db, refly, tuple(notes))
 
 
@@ -119,7 +142,7 @@ def _toured(
     belief: Belief,
     planner: SequentialGreedyPlanner,
     uavs: Sequence[int],
-    leftover: Sequence[NDArray[np.int64]],
+    leftover: Sequence[Leftover],
     told: Told,
 ) -> list[list[Flight]]:
     """For each UAV its tour, and the same the other way round where it may be flown so."""
@@ -136,21 +159,21 @@ def _vertical_s(site: Site, uav: int) -> float:
     return hover.air_s - way_seconds(hover.route_m, hover.speed_mps, hover.stops)
 
 
-def _first_legs(site: Site, uav: int, run: NDArray[np.int64], left_s: float) -> NDArray[np.float64]:
+def _first_legs(site: Site, uav: int, run: Leftover | None, left_s: float) -> NDArray[np.float64]:
     """``[n, (x, y)]`` from the pad along as much of ``run`` as leaves time to come home; the pad
     alone without a run."""
-    pad = site.pads[uav].xy_m[None]
-    cells = run
-    while len(cells) >= _SHORTEST_REFLY:
-        there = site.ways_home[uav].way(cells[0])[::-1]
-        along = _route_to(site, cells[0], cells)
-        line = corners(np.vstack([there, site.grid.xy_m(along)]))
-        line = corners(straightened(site.space, line, _STAIRS * site.grid.spacing_m))
-        back = site.ways_home[uav].way(along[-1])
-        if way_seconds(np.vstack([line, back[1:]]), site.request.speed_mps) <= left_s:
-            return line
-        cells = cells[: int(0.8 * len(cells))]
-    return pad
+    if run is not None:
+        ways, grid = site.ways_home[uav], site.grid
+        there, legs = ways.way(run.cells[0])[::-1], run.legs_m
+        while len(legs) > 1 and site.space.clear(np.vstack([there[-1], legs[0]])):
+            line = corners(np.vstack([there, legs]))
+            line = corners(straightened(site.space, line, _STAIRS * grid.spacing_m))
+            back = ways.way(grid.cells_at(legs[-1:])[0])
+            whole = np.vstack([line, back])
+            if way_seconds(whole, site.request.speed_mps) <= left_s and site.space.clear(whole):
+                return line
+            legs = legs[:-1]
+    return site.pads[uav].xy_m[None]
 
 
 def _paths(
@@ -159,7 +182,7 @@ def _paths(
     planner: Planner,
     rng: np.random.Generator,
     uavs: Sequence[int],
-    leftover: Sequence[NDArray[np.int64]],
+    leftover: Sequence[Leftover],
     told: Told,
 ) -> NDArray[np.int64]:
     """``[uav, step, (row, col)]`` cells the planner would visit, longer than a battery lasts."""
@@ -174,7 +197,8 @@ def _paths(
     swarm = Swarm.deployed(site.scenario, start, steps, rules)
 
     belief = with_expected(belief, start)
-    ahead = _assigned(site, uavs, leftover)
+    nothing = np.empty((0, 2), dtype=np.int64)
+    ahead = [run.cells if run else nothing for run in _assigned(site, uavs, leftover)]
     alive = np.ones(len(uavs), dtype=bool)
     while alive.any() and swarm.flying.any():
         plan = planner.plan(swarm, belief, int(swarm.steps_left.max()), rng)
@@ -204,18 +228,23 @@ def _seconds(site: Site, uav: int, cells: NDArray[np.int64]) -> float:
 
 
 def _assigned(
-    site: Site, uavs: Sequence[int], leftover: Sequence[NDArray[np.int64]]
-) -> list[NDArray[np.int64]]:
-    """For each UAV the run that was left over nearest to its pad; longer runs choose first."""
-    ahead = [np.empty((0, 2), dtype=np.int64) for _ in uavs]
+    site: Site, uavs: Sequence[int], leftover: Sequence[Leftover]
+) -> list[Leftover | None]:
+    """For each UAV what was left over nearest to its pad, its nearer end first; longer runs choose
+    first."""
+    ahead: list[Leftover | None] = [None for _ in uavs]
     flyable = site.scenario.flyable
-    for run in sorted(leftover, key=len, reverse=True):
-        run = run[flyable[run[:, 0], run[:, 1]]]
-        free = [i for i in range(len(uavs)) if not len(ahead[i])]
-        if len(run) < _SHORTEST_REFLY or not free:
+    for run in sorted(leftover, key=lambda run: len(run.cells), reverse=True):
+        free = [i for i in range(len(uavs)) if ahead[i] is None]
+        flies = flyable[run.cells[:, 0], run.cells[:, 1]].all()
+        if len(run.cells) < _SHORTEST_REFLY or not free or not flies:
             continue
-        way = [site.ways_home[uavs[i]].distance_m[tuple(run[0])] for i in free]
-        ahead[free[int(np.argmin(way))]] = run
+        way = [
+            [site.ways_home[uavs[i]].distance_m[tuple(run.cells[end])] for end in (0, -1)]
+            for i in free
+        ]
+        k, end = np.unravel_index(int(np.argmin(way)), (len(free), 2))
+        ahead[free[int(k)]] = run.reversed() if end else run
     return ahead
 
 

@@ -67,6 +67,15 @@ class Tour:
     """places it was sent to, the first where it begins, the last its home"""
     seconds: float
     """about so long it takes, without climb and landing"""
+    entered: tuple[int, ...] = ()
+    """the places between the two in the order in which they entered, which is that of their
+    worth"""
+
+    def without_last(self) -> Tour:
+        """Without the place that entered last."""
+        *kept, last = self.entered
+        at = len(self.stops) - 2 - self.stops[-2:0:-1].index(last)
+        return replace(self, stops=self.stops[:at] + self.stops[at + 1 :], entered=tuple(kept))
 
     def legs_m(self, streets: Streets) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``[n, (x, y)]`` corners up to the last place it was sent to, and from there home."""
@@ -110,9 +119,11 @@ def plan_tours(
     flown = [site.space.cells_read(one.flown_m) for one in starts]
     theirs = np.concatenate([*flown, np.empty((0, 2), np.int64) if known is None else known])
     lessons = Lessons.about(belief, streets.sites, noise_db2, weighted=weighted)
+    known_sites = streets.sites_at(theirs)
     left = np.array([one.left_s - _flown_s(one, speed) for one in starts])
-    found: list[list[Flight]] = [[] for _ in starts]
-    for round_ in range(2 * _ROUNDS):
+    best: list[list[Flight]] = [[] for _ in starts]
+    most = -np.inf
+    for round_ in range(_ROUNDS):
         tours = find_tours(
             joined,
             lessons,
@@ -121,26 +132,44 @@ def plan_tours(
             left.tolist(),
             speed,
             np.array([one.heading for one in starts]),
-            streets.sites_at(theirs),
+            known_sites,
         )
+        told(round_ + 1, _ROUNDS)
         flights = [_flights(site, joined, one, t) for one, t in zip(starts, tours, strict=True)]
-        over = np.array(
-            [
-                way_seconds(f[0].route_m, speed, f[0].stops) - one.left_s if f else 0.0
-                for f, one in zip(flights, starts, strict=True)
-            ]
-        )
-        for i in np.flatnonzero(over <= 0):
-            # what is found with more time is better, what does not fit is not
-            found[i] = flights[i]
-        told(min(round_ + 1, _ROUNDS), _ROUNDS)
+        over = np.array([_over_s(f[0], one) for f, one in zip(flights, starts, strict=True)])
+        fitted = [
+            found if late <= 0 else _in_time(site, joined, one, tour)
+            for found, late, one, tour in zip(flights, over, starts, tours, strict=True)
+        ]
+        # tours of one round part the area; those of two rounds may be the same twice
+        read = [f[0].read_cells for f in fitted if f]
+        sites = joined.sites_at(np.concatenate([theirs, *read]))
+        lessons.begin(np.empty(0, dtype=np.int64))
+        taught = lessons.gain(sites) if len(sites) else 0.0
+        if taught > most:
+            best, most = fitted, taught
         # who ended with time left found nothing worth it
         ended = np.array([left_s - t.seconds for left_s, t in zip(left, tours, strict=True)])
-        done = (over <= 0) & ((over > -_SLACK_S) | (ended > _ENDED_S))
-        if done.all() or (round_ + 1 >= _ROUNDS and all(found)):
+        if ((over <= 0) & ((over > -_SLACK_S) | (ended > _ENDED_S))).all():
             break
         left = left - over - np.where(over > 0, 1.0, 0.0)
-    return found
+    return best
+
+
+def _over_s(flight: Flight, start: Start) -> float:
+    """Seconds that a flight takes more than there are."""
+    return way_seconds(flight.route_m, flight.speed_mps, flight.stops) - start.left_s
+
+
+def _in_time(site: Site, streets: Streets, start: Start, tour: Tour) -> list[Flight]:
+    """The flights of what is left of a tour when it is cut until it comes home in time; none where
+    even the way home takes too long."""
+    while tour.entered:
+        tour = tour.without_last()
+        flights = _flights(site, streets, start, tour)
+        if _over_s(flights[0], start) <= 0:
+            return flights
+    return []
 
 
 def _flown_s(start: Start, speed_mps: float) -> float:
@@ -183,6 +212,7 @@ def find_tours(
     """
     search = _Search(streets, lessons, speed_mps)
     tours = [[a, b] for a, b in zip(starts, homes, strict=True)]
+    entered: list[list[int]] = [[] for _ in tours]
     come = np.zeros((len(tours), 2)) if headings is None else headings
     theirs = np.empty(0, dtype=np.int64) if known is None else known
     took = [search.seconds(tour, way) for tour, way in zip(tours, come, strict=True)]
@@ -208,12 +238,13 @@ def find_tours(
             continue
         rate, position, place = found
         tours[u].insert(position, place)
+        entered[u].append(place)
         before, took[u] = took[u], search.seconds(tours[u], come[u])
         left[u] = seconds[u] - took[u]
         gained += rate * (took[u] - before)
         spent += took[u] - before
         planned = begin(planned)
-    return [Tour(tuple(t), s) for t, s in zip(tours, took, strict=True)]
+    return [Tour(tuple(t), s, tuple(e)) for t, s, e in zip(tours, took, entered, strict=True)]
 
 
 class _Search:
