@@ -215,7 +215,7 @@ def mission_replan(run: Run) -> list[Table]:
     for n in run.options.uavs:
         seconds = run.once((n, run.options.passed), lambda n=n: replanned(case, n, run.options))
         rows.append([f"{n}", f"{sum(seconds):.2f}", f"{max(seconds):.2f}"])
-    title = "One thread, one city of T2; every vehicle in turn, 40 cells ahead."
+    title = "One thread, one city of T2; every vehicle in turn, a tour as long as its battery."
     return [Table(title, ["UAVs", "all, CPU s", "slowest vehicle, CPU s"], rows)]
 
 

@@ -13,8 +13,8 @@ __all__ = ["LiveFlight", "LiveSettings"]
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,10 +31,12 @@ from skygain.missions.orders import orders_for
 from skygain.missions.qgroundcontrol import Item, items
 from skygain.missions.rider import FLYING, HOLDING, LANDED, LOST, LOW, WAITING, Rider
 from skygain.missions.sortie import Flight, Sortie, flight_along
-from skygain.missions.state import known_belief
-from skygain.missions.timing import first_conflict
+from skygain.missions.state import known_belief, with_readings
+from skygain.missions.timing import DESCENT_MPS, first_conflict, way_seconds
+from skygain.missions.tours import Start, plan_tours, toured
 from skygain.missions.vehicle_link import VehicleLink, same_mission
 from skygain.missions.watching import LIVE
+from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
 
 _SHARES = (1.0, 0.7, 0.4, 0.2)
@@ -59,8 +61,10 @@ class LiveSettings:
     every_cells: int = 15
     """a vehicle is planned anew after so many cells"""
     ahead_cells: int = 40
-    """so many cells are planned ahead; a vehicle that hears of no new plan turns home after
-    them"""
+    """so many cells are planned ahead by planners that choose cells; a vehicle that hears of no new
+    plan turns home after them"""
+    horizon_s: float = 60.0
+    """what of a tour comes more than so much later stays as it is until it comes nearer"""
     lead_s: float = 4.0
     """a new way leaves the old one so long after now, or later where planning takes longer"""
     lost_s: float = 5.0
@@ -107,6 +111,8 @@ class LiveFlight:
         self._shown_s = 0.0
         self._random = mission.random(sortie.number + 1_000_000)
         self._planner = mission.method.build_planner()
+        self._known: Belief | None = None
+        self._heard = 0
 
     def now(self) -> float:
         """Seconds of the vehicles since the flight began."""
@@ -341,33 +347,85 @@ class LiveFlight:
     def planned(self, rider: Rider, belief: Belief | None = None) -> Flight | None:
         """A new flight for a vehicle in the air that is clear of what the others have on board;
         ``None`` where its old one is as good."""
-        site = self.site
-        old = rider.flight
+        belief = ahead_of(self._belief() if belief is None else belief)
+        others = [r for r in self.riders if r is not rider and r.state != LANDED]
+        lines = [
+            line for r in others for line in r.lines(self.site.grid, self.now(), self._ago_s(r))
+        ]
+        speed, apart = rider.flight.speed_mps, self.site.request.separation_m
+        for flight in self._ways(rider, belief):
+            if all(first_conflict(flight.timeline, o, speed, apart) is None for o in lines):
+                return flight
+        return None
+
+    def _belief(self) -> Belief:
+        """What is known now; readings that came since it was last asked for are added to it."""
+        readings = self.mission.journal.readings(after=self._heard)
+        if self._known is None:
+            self._known = known_belief(self.mission, readings)
+        elif readings:
+            self._known = with_readings(self.mission, self._known, readings)
+        self._heard += len(readings)
+        return self._known
+
+    def _ways(self, rider: Rider, belief: Belief) -> Iterator[Flight]:
+        """New flights for a vehicle in the air, the one that teaches most first."""
+        left_s = self.site.request.usable_s - (self.now() - rider.up_s)
+        if toured(self._planner):
+            yield from self._tours(rider, belief, left_s)
+        else:
+            yield from self._along_cells(rider, belief, left_s)
+
+    def _tours(self, rider: Rider, belief: Belief, left_s: float) -> Iterator[Flight]:
+
+        site, planner, old = self.site, self._planner, rider.flight
+        assert isinstance(planner, SequentialGreedyPlanner)
+        now, ago_s, lead_s = self.now(), self._ago_s(rider), self.lead_s
+        ahead = rider.ahead(site.grid, now, ago_s, lead_s, self.settings.horizon_s)
+        if ahead is None or not site.space.clear(ahead.lead_m):
+            return
+        left_s -= float(old.heights_m[-1]) / DESCENT_MPS
+        theirs = [r.flight.read_cells[r.done :] for r in self.riders if r is not rider]
+        known = np.concatenate([np.empty((0, 2), dtype=np.int64), *theirs])
+        if len(ahead.later_m):
+            # what takes no longer than before leaves the later part's times as they were
+            starts = [
+                Start(rider.uav, ahead.lead_m, seconds, ahead.later_m, ahead.home_m)
+                for seconds in (min(left_s, ahead.rest_s), left_s)
+            ]
+        else:
+            way = site.ways_home[rider.uav].way(site.grid.cells_at(ahead.lead_m[-1]))
+            shortest_s = way_seconds(np.vstack([ahead.lead_m, way]), old.speed_mps)
+            soon_s = shortest_s + 2 * self.settings.horizon_s
+            starts = [Start(rider.uav, ahead.lead_m, min(left_s, soon_s))]
+        for start in starts:
+            found = plan_tours(
+                site, belief, [start], planner.noise_db2, planner.weighted, known=known, rounds=1
+            )[0]
+            if not found:
+                return
+            yield replace(found[0], airborne=True)
+
+    def _along_cells(self, rider: Rider, belief: Belief, left_s: float) -> Iterator[Flight]:
+        """Along the cells that the planner chooses one after another, by less and less of them."""
+        site, old = self.site, rider.flight
         steps = max(1, int(self.lead_s * old.speed_mps / site.grid.spacing_m))
         turn = min(rider.done + steps, len(old.cells) - 1)
         cell = old.cells[turn]
         place = rider.place_m(site.grid)
         lead = np.vstack([place[None], site.grid.xy_m(old.cells[rider.done : turn])])
         if not site.space.clear(np.vstack([lead, site.grid.xy_m(cell)[None]])):
-            return None
-        left_s = site.request.usable_s - (self.now() - rider.up_s)
-        belief = ahead_of(known_belief(self.mission) if belief is None else belief)
-        others = [r for r in self.riders if r is not rider and r.state != LANDED]
+            return
         coming = np.vstack([self._coming(rider, cell), old.cells[rider.done : turn + 1]])
-        belief = with_expected(belief, coming)
-        path = self._path(belief, cell)
-        lines = [line for r in others for line in r.lines(site.grid, self.now(), self._ago_s(r))]
-        speed, apart = old.speed_mps, site.request.separation_m
+        path = self._path(with_expected(belief, coming), cell)
         for share in _SHARES:
             cells = np.vstack(
                 [old.cells[rider.done : turn], path[: max(1, int(share * len(path)))]]
             )
             flight = self._within(rider.uav, cells, turn - rider.done, lead[:1], left_s)
             if flight is None:
-                return None
-            if all(first_conflict(flight.timeline, o, speed, apart) is None for o in lines):
-                return flight
-        return None
+                return
+            yield flight
 
     def _ago_s(self, rider: Rider) -> float:
         """Seconds of the vehicles since its place was heard."""

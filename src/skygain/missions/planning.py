@@ -25,7 +25,7 @@ from skygain.missions.imagined import ahead_of, with_expected
 from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, Sortie, corners, flight_along
 from skygain.missions.timing import TICK_S, clear_delays, way_seconds
-from skygain.missions.tours import Start, plan_tours
+from skygain.missions.tours import Start, plan_tours, toured
 from skygain.planners.base import Planner
 from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
@@ -96,7 +96,7 @@ def plan_sortie(
         raise InputError("every UAV stays on the ground; leave one out of `without`")
     check_battery(site, chosen)
     belief = ahead_of(belief)
-    if isinstance(planner, SequentialGreedyPlanner) and planner.objective == "variance":
+    if toured(planner):
         found = _toured(site, belief, planner, chosen, leftover, told)
     else:
         paths = _paths(site, belief, planner, rng, chosen, leftover, told)
@@ -140,12 +140,13 @@ def check_battery(site: Site, uavs: Sequence[int]) -> None:
 def _toured(
     site: Site,
     belief: Belief,
-    planner: SequentialGreedyPlanner,
+    planner: Planner,
     uavs: Sequence[int],
     leftover: Sequence[Leftover],
     told: Told,
 ) -> list[list[Flight]]:
     """For each UAV its tour, and the same the other way round where it may be flown so."""
+    assert isinstance(planner, SequentialGreedyPlanner)
     starts = []
     for uav, run in zip(uavs, _assigned(site, uavs, leftover), strict=True):
         left_s = site.request.usable_s - _vertical_s(site, uav)

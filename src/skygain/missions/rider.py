@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["FLYING", "HOLDING", "LANDED", "LOST", "LOW", "WAITING", "Rider"]
+__all__ = ["FLYING", "HOLDING", "LANDED", "LOST", "LOW", "WAITING", "Ahead", "Rider"]
 
 from dataclasses import dataclass, field
 
@@ -18,6 +18,20 @@ FLYING, LOST, LOW, HOLDING, LANDED = "flying", "lost", "low", "holding", "landed
 WAITING = "waiting"
 _AHEAD = 60
 """a vehicle is looked for on so many of the next cells"""
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """What a vehicle has before it."""
+
+    lead_m: NDArray[np.float64]
+    """``[n, (x, y)]`` from where it was last seen to where a new plan leaves the old one"""
+    later_m: NDArray[np.float64]
+    """``[n, (x, y)]`` what it measures late enough to stay as it is; empty for nothing"""
+    home_m: NDArray[np.float64]
+    """``[n, (x, y)]`` from there home; empty as well then"""
+    rest_s: float
+    """seconds from where it was last seen until it is above its home"""
 
 
 @dataclass(eq=False)
@@ -86,6 +100,30 @@ class Rider:
         self.done = self.planned_at = int((off + 0.5 * late).argmin())
         self.reached = self.flight.cells[: self.done]
 
+    def ahead(
+        self,
+        grid: Grid,
+        now_s: float,
+        ago_s: float,
+        lead_s: float,
+        horizon_s: float,
+    ) -> Ahead | None:
+        """What of its flight is before it, for a plan that leaves it ``lead_s`` from now; ``None``
+        if it will be on its way home by then."""
+        line, place = self.flight.timeline, self.place_m(grid)
+        seen = _seen(self.flight, place, now_s - self.began_s, ago_s)
+        end = seen + round((ago_s + lead_s) / TICK_S)
+        measuring, route = self.flight.measuring, self.flight.route_m[:, :2]
+        if end >= len(line.ticks_m) or end * TICK_S >= line.reached_s[measuring - 1]:
+            return None
+        passed = (line.reached_s > seen * TICK_S) & (line.reached_s < end * TICK_S)
+        lead = np.vstack([place[None], route[passed], line.ticks_m[end, :2]])
+        rest_s = float(line.reached_s[-1]) - seen * TICK_S
+        late = int(np.searchsorted(line.reached_s, end * TICK_S + horizon_s))
+        if late >= measuring:
+            return Ahead(lead, np.empty((0, 2)), np.empty((0, 2)), rest_s)
+        return Ahead(lead, route[late:measuring], route[measuring - 1 :], rest_s)
+
     def lines(self, grid: Grid, now_s: float, ago_s: float) -> list[Timeline]:
         """What is left of every flight that it may have on board, by time from now, for a vehicle
         that was seen ``ago_s`` before."""
@@ -110,10 +148,7 @@ def _remaining(
     """What is left of a flight, its times counted from now: it flew on from where it was last seen,
     which may be earlier or later than planned."""
     ticks = flight.timeline.ticks_m
-    near = np.hypot(*(ticks[:, :2] - place_m).T)
-    late = np.abs(np.arange(len(ticks)) * TICK_S - (moment_s - ago_s))
-    cost = np.where(np.isfinite(near), near + 0.5 * late, np.inf)
-    seen = int(cost.argmin())
+    seen = _seen(flight, place_m, moment_s, ago_s)
     at = min(seen + round(ago_s / TICK_S), len(ticks) - 1)
     rest = ticks[at:]
     # it was seen, so only the stops since then make it early or late
@@ -121,3 +156,12 @@ def _remaining(
     return Timeline(
         rest, slip - flight.timeline.slip_s[seen] + SLIP_S, np.empty(0), len(rest) * TICK_S
     )
+
+
+def _seen(flight: Flight, place_m: NDArray[np.float64], moment_s: float, ago_s: float) -> int:
+    """Tick of a flight at which it was where it was last seen, by place and moment."""
+    ticks = flight.timeline.ticks_m
+    near = np.hypot(*(ticks[:, :2] - place_m).T)
+    late = np.abs(np.arange(len(ticks)) * TICK_S - (moment_s - ago_s))
+    cost = np.where(np.isfinite(near), near + 0.5 * late, np.inf)
+    return int(cost.argmin())

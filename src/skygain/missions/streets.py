@@ -5,6 +5,7 @@ from __future__ import annotations
 
 __all__ = ["Streets"]
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -17,6 +18,8 @@ from scipy.spatial import cKDTree
 
 from skygain.flight.ways import steps_between
 from skygain.missions.clearance import Airspace, straightened
+
+Floats = NDArray[np.float64]
 
 APART_M = 16.0
 """places keep at least this distance"""
@@ -71,6 +74,20 @@ class Streets:
         seen[:n, :n] = self.seen
         _look(self.space, places, first[new], second[new], seen)
         return _complete(self.space, places, seen, self.sites)
+
+    def within(self, ends_m: Sequence[tuple[Floats, Floats]], reach_m: Sequence[float]) -> Streets:
+        """What of the streets a way of at most ``reach_m[k]`` between the k-th two points
+        ``ends_m[k]`` can come to, for any k."""
+        xy, sites = self.xy_m, self.space.grid.xy_m(self.sites)
+        near, told = np.zeros(len(xy), dtype=bool), np.zeros(len(sites), dtype=bool)
+        for (one, other), reach in zip(ends_m, reach_m, strict=True):
+            for found, points in ((near, xy), (told, sites)):
+                way = np.hypot(*(points - one).T) + np.hypot(*(points - other).T)
+                found |= way <= reach + 2 * SITE_CELLS * self.space.grid.spacing_m
+        if near.all() or not near.any() or not told.any():
+            return self
+        seen = self.seen[np.ix_(near, near)]
+        return _complete(self.space, self.places[near], seen, self.sites[told])
 
     def way(self, first: int, last: int) -> list[int]:
         """Places on the shortest way from one to another, both included."""

@@ -8,10 +8,10 @@ twice, so the tours part the area among themselves.
 
 from __future__ import annotations
 
-__all__ = ["Start", "Tour", "find_tours", "plan_tours"]
+__all__ = ["Start", "Tour", "find_tours", "plan_tours", "toured"]
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,12 +23,12 @@ from skygain.missions.site import Site
 from skygain.missions.sortie import Flight, corners, flight_over
 from skygain.missions.streets import Streets
 from skygain.missions.timing import ACCELERATION_MPS2, corner_seconds, way_seconds
+from skygain.planners.base import Planner
+from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
 
 _BEND_CELLS = 2.0
 """cells that a leg may lie off the places it was planned by"""
-_ROUNDS = 2
-"""so often tours are found, the second time with what their legs really take"""
 _ENDED_S = 15.0
 """a tour with more time left than this ended for want of lessons"""
 _SLACK_S = 4.0
@@ -49,6 +49,18 @@ class Start:
     """``[n, (x, y)]`` what it has flown or will fly in any case; the tour begins at its end"""
     left_s: float
     """seconds for all of it from the first of these points home, without climb and landing"""
+    later_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    """``[m, (x, y)]`` legs that follow in any case; the tour ends at the first of these points
+    instead of its home"""
+    home_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    """``[n, (x, y)]`` legs home from the last of those"""
+
+    @property
+    def anyway_m(self) -> tuple[NDArray[np.float64], ...]:
+        """The ways ``[n, (x, y)]`` before and after the tour."""
+        if not len(self.later_m):
+            return (self.flown_m,)
+        return self.flown_m, np.vstack([self.later_m, self.home_m[1:]])
 
     @property
     def heading(self) -> NDArray[np.float64]:
@@ -99,6 +111,7 @@ def plan_tours(
     weighted: bool,
     told: Callable[[int, int], None] = lambda done, total: None,
     known: NDArray[np.int64] | None = None,
+    rounds: int = 2,
 ) -> list[list[Flight]]:
     """For each start its flight, and the same the other way round where all of it is still to be
     flown; none where the battery does not even bring it home.
@@ -111,19 +124,26 @@ def plan_tours(
         weighted: see `SequentialGreedyPlanner`.
         told: hears how many rounds of how many are done.
         known: ``[k, (row, col)]`` cells that others will read.
+        rounds: so often tours are found, after the first time with what their legs really take.
     """
     streets, speed = Streets.of(site.space), site.request.speed_mps
-    n, k = len(streets.places), len(starts)
-    homes = np.array([site.pads[one.uav].xy_m for one in starts])
-    joined = streets.joined(np.concatenate([[one.flown_m[-1] for one in starts], homes]))
-    flown = [site.space.cells_read(one.flown_m) for one in starts]
-    theirs = np.concatenate([*flown, np.empty((0, 2), np.int64) if known is None else known])
-    lessons = Lessons.about(belief, streets.sites, noise_db2, weighted=weighted)
-    known_sites = streets.sites_at(theirs)
-    left = np.array([one.left_s - _flown_s(one, speed) for one in starts])
+    left = np.array([one.left_s - _anyway_s(one, speed) for one in starts])
+    k = len(starts)
+    begins = [one.flown_m[-1] for one in starts]
+    ends = [one.later_m[0] if len(one.later_m) else site.pads[one.uav].xy_m for one in starts]
+    near = streets.within(list(zip(begins, ends, strict=True)), (left * speed).tolist())
+    joined = near.joined(np.array([*begins, *ends]))
+    n = len(near.places)
+    if not np.isfinite(joined.length_m[np.arange(n, n + k), np.arange(n + k, n + 2 * k)]).all():
+        near, n = streets, len(streets.places)
+        joined = near.joined(np.array([*begins, *ends]))
+    mine = [site.space.cells_read(way) for one in starts for way in one.anyway_m]
+    theirs = np.concatenate([*mine, np.empty((0, 2), np.int64) if known is None else known])
+    lessons = Lessons.about(belief, joined.sites, noise_db2, weighted=weighted)
+    known_sites = joined.sites_at(theirs)
     best: list[list[Flight]] = [[] for _ in starts]
     most = -np.inf
-    for round_ in range(_ROUNDS):
+    for round_ in range(rounds):
         tours = find_tours(
             joined,
             lessons,
@@ -134,7 +154,7 @@ def plan_tours(
             np.array([one.heading for one in starts]),
             known_sites,
         )
-        told(round_ + 1, _ROUNDS)
+        told(round_ + 1, rounds)
         flights = [_flights(site, joined, one, t) for one, t in zip(starts, tours, strict=True)]
         over = np.array([_over_s(f[0], one) for f, one in zip(flights, starts, strict=True)])
         fitted = [
@@ -172,16 +192,25 @@ def _in_time(site: Site, streets: Streets, start: Start, tour: Tour) -> list[Fli
     return []
 
 
-def _flown_s(start: Start, speed_mps: float) -> float:
-    """Seconds until the tour begins, at full speed."""
-    if len(start.flown_m) < 2:
-        return 0.0
-    return way_seconds(start.flown_m, speed_mps) - speed_mps / (2 * ACCELERATION_MPS2)
+def toured(planner: Planner) -> bool:
+    """Whether a planner's sorties are tours."""
+    return isinstance(planner, SequentialGreedyPlanner) and planner.objective == "variance"
+
+
+def _anyway_s(start: Start, speed_mps: float) -> float:
+    """Seconds until the tour begins and after it ends, at full speed there."""
+    return sum(
+        way_seconds(way, speed_mps) - speed_mps / (2 * ACCELERATION_MPS2)
+        for way in start.anyway_m
+        if len(way) > 1
+    )
 
 
 def _flights(site: Site, streets: Streets, start: Start, tour: Tour) -> list[Flight]:
     """The flight of a tour, and the other way round where it begins at rest."""
     out, home = tour.legs_m(streets)
+    if len(start.later_m):
+        out, home = np.vstack([out, home[1:], start.later_m[1:]]), start.home_m
     if len(start.flown_m) > 1:
         return [flight_over(site, start.uav, corners(np.vstack([start.flown_m, out[1:]])), home)]
     back, away = replace(tour, stops=tour.stops[::-1]).legs_m(streets)
