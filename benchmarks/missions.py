@@ -238,12 +238,13 @@ def replanned(case: Case, n: int, options: Any) -> list[float]:
             belief = prior.updated(Measurements.at(cells, truth_db[cells[:, 0], cells[:, 1]]))
             for rider in live.riders:
                 rider.state, rider.done = FLYING, options.passed
-                xy = site.grid.xy_m(rider.flight.cells[options.passed])
+                way = site.grid.xy_m(rider.flight.cells[: options.passed + 1])
+                xy = way[-1]
                 latitude, longitude = site.latlon(xy)
                 rider.link.heard.latitude = float(latitude)
                 rider.link.heard.longitude = float(longitude)
                 rider.link.heard.place_s = time.monotonic()
-                moment = rider.flight.timeline.reached_s[1]
+                moment = rider.flight.moments_s(way)[-1]
                 rider.began_s = rider.up_s = live.now() - float(moment)
             live.planned(live.riders[0], belief)
             seconds = []

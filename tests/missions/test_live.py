@@ -17,7 +17,8 @@ from skygain.ground.errors import InputError
 from skygain.missions.commands import run_fly
 from skygain.missions.folder import Mission, made
 from skygain.missions.journal import Reading
-from skygain.missions.live import LiveFlight, LiveSettings
+from skygain.missions.live import LiveFlight
+from skygain.missions.new_ways import LiveSettings
 from skygain.missions.requests import MissionFlyRequest
 from skygain.missions.vehicle_link import VehicleLink
 from tests.missions.town import SOUTH_M, TO_DEGREES, WEST_M, mission_request

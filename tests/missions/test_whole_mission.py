@@ -163,8 +163,9 @@ def test_the_map_is_nearly_as_good_as_a_simulated_surveys(site, flown, truth_db)
     """The same predictor and planner, and readings in as many cells.
 
     The vehicles fly at 20 times the pace and wait for nobody, so on a busy machine some fly on
-    where a new plan would have turned; hence the bound in the middle between the survey and a flat
-    map at the true mean.
+    where a new plan would have turned, or wait on the ground until their way is clear and teach
+    less before they die; hence the bound at a third of the way from the survey to a flat map at the
+    true mean.
     """
     with Mission.opened(flown.folder) as mission:
         belief = known_belief(mission)
@@ -184,8 +185,7 @@ def test_the_map_is_nearly_as_good_as_a_simulated_surveys(site, flown, truth_db)
     steps = n // len(starts)
     found = survey.fly(Swarm.deployed(site.scenario, starts, steps), np.random.default_rng(0))
     simulated = rmse_db(site, truth_db, found.posterior.mean_db)
-    print(f"live {live:.2f}, simulated {simulated:.2f}, flat {flat:.2f} dB")
-    assert live <= (simulated + flat) / 2
+    assert live <= simulated + (flat - simulated) / 3
 
 
 def test_the_page_and_the_status_tell_of_it(flown) -> None:

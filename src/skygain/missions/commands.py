@@ -288,7 +288,8 @@ def _flown_live(
 ) -> str:
     import contextlib
 
-    from skygain.missions.live import LiveFlight, LiveSettings
+    from skygain.missions.live import LiveFlight
+    from skygain.missions.new_ways import LiveSettings
     from skygain.missions.vehicle_link import VehicleLink
 
     with contextlib.ExitStack() as stack:

@@ -9,38 +9,32 @@ leader that died is followed by one that knows what may be on board.
 
 from __future__ import annotations
 
-__all__ = ["LiveFlight", "LiveSettings"]
+__all__ = ["LiveFlight"]
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from skygain.flight.swarm import Swarm
 from skygain.ground.errors import InputError
 from skygain.ground.files import atomic_write
 from skygain.missions.folder import Mission
-from skygain.missions.imagined import ahead_of, with_expected
+from skygain.missions.imagined import ahead_of
 from skygain.missions.keeping import Keeper
+from skygain.missions.new_ways import LiveSettings, Moment, NewWays
 from skygain.missions.orders import orders_for
 from skygain.missions.qgroundcontrol import Item, items
 from skygain.missions.rider import FLYING, HOLDING, LANDED, LOST, LOW, WAITING, Rider
-from skygain.missions.sortie import Flight, Sortie, flight_along
+from skygain.missions.sortie import Flight, Sortie
 from skygain.missions.state import known_belief, with_readings
-from skygain.missions.timing import DESCENT_MPS, first_conflict, way_seconds
-from skygain.missions.tours import Start, plan_tours, toured
+from skygain.missions.timing import first_conflict
 from skygain.missions.vehicle_link import VehicleLink, same_mission
 from skygain.missions.watching import LIVE
-from skygain.planners.sequential_greedy import SequentialGreedyPlanner
 from skygain.predictors.base import Belief
 
-_SHARES = (1.0, 0.7, 0.4, 0.2)
-"""of a new way, tried in this order until it is clear of the others"""
 _IN_TIME = 0.5
 """share of the lead after which a new way comes too late to be sent"""
 _ARDUPILOT = 3
@@ -52,33 +46,6 @@ _SETTLE_S = 2.0
 """a vehicle that may have either of two missions is asked so often which"""
 _UP_M = 2.0
 """a vehicle so high is in the air"""
-
-
-@dataclass(frozen=True)
-class LiveSettings:
-    """How a live flight is led; times are those of the vehicles."""
-
-    every_cells: int = 15
-    """a vehicle is planned anew after so many cells"""
-    ahead_cells: int = 40
-    """so many cells are planned ahead by planners that choose cells; a vehicle that hears of no new
-    plan turns home after them"""
-    horizon_s: float = 60.0
-    """what of a tour comes more than so much later stays as it is until it comes nearer"""
-    lead_s: float = 4.0
-    """a new way leaves the old one so long after now, or later where planning takes longer"""
-    lost_s: float = 5.0
-    """a vehicle that is silent for longer is lost"""
-    low: float = 0.25
-    """share of battery below which a vehicle is left alone"""
-    pace: float = 1.0
-    """vehicles' seconds in one second; above 1 for simulated ones"""
-
-    @property
-    def patience_s(self) -> float:
-        """Seconds of silence after which a vehicle is lost, on this machine's clock, which has
-        hiccups of its own."""
-        return max(self.lost_s / self.pace, 2.0)
 
 
 class LiveFlight:
@@ -109,8 +76,13 @@ class LiveFlight:
         self._zero = time.monotonic()
         self._resumed = False
         self._shown_s = 0.0
-        self._random = mission.random(sortie.number + 1_000_000)
-        self._planner = mission.method.build_planner()
+        self._ways = NewWays(
+            self.site,
+            mission.method.build_planner(),
+            self.settings,
+            mission.random(sortie.number + 1_000_000),
+        )
+        self._held: set[int] = set()
         self._known: Belief | None = None
         self._heard = 0
 
@@ -215,7 +187,8 @@ class LiveFlight:
             heard = rider.link.heard
             if rider.state != WAITING:
                 continue
-            if arm and self.now() >= rider.flight.delay_s and not heard.armed:
+            due = self.now() >= rider.flight.delay_s
+            if arm and due and not heard.armed and self._may_rise(rider):
                 rider.link.arm()
                 rider.link.start()
             if heard.armed and heard.height_m > _UP_M:
@@ -228,6 +201,23 @@ class LiveFlight:
                 self.told(f"UAV {rider.uav} is in the air")
             elif rider.link.silent_s() > self.settings.patience_s:
                 self._out(rider, LOST, "it was not heard before take-off")
+
+    def _may_rise(self, rider: Rider) -> bool:
+        """Whether a flight that begins now is clear of what the others have on board; they may have
+        new ways since it was planned, or it is late."""
+        grid, now = self.site.grid, self.now()
+        (mine,) = rider.lines(grid, now, 0.0)
+        speed, apart = rider.flight.speed_mps, self.site.request.separation_m
+        clear = all(
+            first_conflict(mine, line, speed, apart) is None
+            for r in self.riders
+            if r is not rider and r.state not in (WAITING, LANDED)
+            for line in r.lines(grid, now, self._ago_s(r))
+        )
+        if not clear and rider.uav not in self._held:
+            self._held.add(rider.uav)
+            self.told(f"UAV {rider.uav} waits on the ground until its way is clear of the others'")
+        return clear
 
     def _watch(self) -> None:
         for rider in self.riders:
@@ -346,15 +336,21 @@ class LiveFlight:
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def planned(self, rider: Rider, belief: Belief | None = None) -> Flight | None:
         """A new flight for a vehicle in the air that is clear of what the others have on board;
-        ``None`` where its old one is as good."""
+        ``None`` where its old one is as good.
+        """
         belief = ahead_of(self._belief() if belief is None else belief)
-        others = [r for r in self.riders if r is not rider and r.state != LANDED]
-        lines = [
-            line for r in others for line in r.lines(self.site.grid, self.now(), self._ago_s(r))
+        grid, now = self.site.grid, self.now()
+        others = [r for r in self.riders if r is not rider]
+        theirs = [
+            line for r in others if r.state != LANDED for line in r.lines(grid, now, self._ago_s(r))
         ]
         speed, apart = rider.flight.speed_mps, self.site.request.separation_m
-        for flight in self._ways(rider, belief):
-            if all(first_conflict(flight.timeline, o, speed, apart) is None for o in lines):
+        mine = rider.lines(grid, now, self._ago_s(rider))[0]
+        before = [first_conflict(mine, line, speed, apart) for line in theirs]
+        moment = Moment(now, self._ago_s(rider), self.lead_s)
+        missing = before.count(None) < len(before)
+        for flight in self._ways.ways(rider, others, belief, moment, near_miss=missing):
+            if all(first_conflict(flight.timeline, o, speed, apart) is None for o in theirs):
                 return flight
         return None
 
@@ -368,105 +364,6 @@ class LiveFlight:
         self._heard += len(readings)
         return self._known
 
-    def _ways(self, rider: Rider, belief: Belief) -> Iterator[Flight]:
-        """New flights for a vehicle in the air, the one that teaches most first."""
-        left_s = self.site.request.usable_s - (self.now() - rider.up_s)
-        if toured(self._planner):
-            yield from self._tours(rider, belief, left_s)
-        else:
-            yield from self._along_cells(rider, belief, left_s)
-
-    def _tours(self, rider: Rider, belief: Belief, left_s: float) -> Iterator[Flight]:
-
-        site, planner, old = self.site, self._planner, rider.flight
-        assert isinstance(planner, SequentialGreedyPlanner)
-        now, ago_s, lead_s = self.now(), self._ago_s(rider), self.lead_s
-        ahead = rider.ahead(site.grid, now, ago_s, lead_s, self.settings.horizon_s)
-        if ahead is None or not site.space.clear(ahead.lead_m):
-            return
-        left_s -= float(old.heights_m[-1]) / DESCENT_MPS
-        theirs = [r.flight.read_cells[r.done :] for r in self.riders if r is not rider]
-        known = np.concatenate([np.empty((0, 2), dtype=np.int64), *theirs])
-        if len(ahead.later_m):
-            # what takes no longer than before leaves the later part's times as they were
-            starts = [
-                Start(rider.uav, ahead.lead_m, seconds, ahead.later_m, ahead.home_m)
-                for seconds in (min(left_s, ahead.rest_s), left_s)
-            ]
-        else:
-            way = site.ways_home[rider.uav].way(site.grid.cells_at(ahead.lead_m[-1]))
-            shortest_s = way_seconds(np.vstack([ahead.lead_m, way]), old.speed_mps)
-            soon_s = shortest_s + 2 * self.settings.horizon_s
-            starts = [Start(rider.uav, ahead.lead_m, min(left_s, soon_s))]
-        for start in starts:
-            found = plan_tours(
-                site, belief, [start], planner.noise_db2, planner.weighted, known=known, rounds=1
-            )[0]
-            if not found:
-                return
-            yield replace(found[0], airborne=True)
-
-    def _along_cells(self, rider: Rider, belief: Belief, left_s: float) -> Iterator[Flight]:
-        """Along the cells that the planner chooses one after another, by less and less of them."""
-        site, old = self.site, rider.flight
-        steps = max(1, int(self.lead_s * old.speed_mps / site.grid.spacing_m))
-        turn = min(rider.done + steps, len(old.cells) - 1)
-        cell = old.cells[turn]
-        place = rider.place_m(site.grid)
-        lead = np.vstack([place[None], site.grid.xy_m(old.cells[rider.done : turn])])
-        if not site.space.clear(np.vstack([lead, site.grid.xy_m(cell)[None]])):
-            return
-        coming = np.vstack([self._coming(rider, cell), old.cells[rider.done : turn + 1]])
-        path = self._path(with_expected(belief, coming), cell)
-        for share in _SHARES:
-            cells = np.vstack(
-                [old.cells[rider.done : turn], path[: max(1, int(share * len(path)))]]
-            )
-            flight = self._within(rider.uav, cells, turn - rider.done, lead[:1], left_s)
-            if flight is None:
-                return
-            yield flight
-
     def _ago_s(self, rider: Rider) -> float:
         """Seconds of the vehicles since its place was heard."""
         return max(0.0, time.monotonic() - rider.link.heard.place_s) * self.settings.pace
-
-    def _coming(self, rider: Rider, cell: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Every second cell that the others will read soon, and near enough to matter."""
-        ahead = self.settings.ahead_cells
-        theirs = [r.flight.cells[r.done : r.done + 2 * ahead : 2] for r in self.riders
-                  if r is not rider]  # fmt: skip
-        cells = np.vstack([np.empty((0, 2), dtype=np.int64), *theirs])
-        return cells[np.abs(cells - cell).max(axis=1, initial=0) <= ahead]
-
-    def _within(
-        self,
-        uav: int,
-        cells: NDArray[np.int64],
-        least: int,
-        start_m: NDArray[np.float64],
-        left_s: float,
-    ) -> Flight | None:
-        """The longest flight along the beginning of ``cells`` that comes home in time."""
-        low, high, best = max(1, least), len(cells), None
-        while low <= high:
-            middle = (low + high + 1) // 2
-            ways = self.site.ways_home[uav]
-            flight = flight_along(self.site, uav, cells[:middle], ways, start_m)
-            if flight.air_s <= left_s:
-                best, low = flight, middle + 1
-            else:
-                high = middle - 1
-        return best
-
-    def _path(self, belief: Belief, cell: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Cells from ``cell`` on."""
-        swarm = Swarm.deployed(self.site.scenario, cell[None], self.settings.ahead_cells)
-        while swarm.flying.any():
-            horizon = int(swarm.steps_left.max())
-            plan = self._planner.plan(swarm, belief, horizon, self._random)
-            for cells in plan.paths.transpose(1, 0, 2)[1:]:
-                swarm = swarm.advanced(cells)
-            if swarm.flying.any():
-                belief = with_expected(belief, plan.paths[:, 1:])
-        return swarm.history[0]
