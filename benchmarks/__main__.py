@@ -20,6 +20,7 @@ from benchmarks import (  # noqa: F401 - each registers its studies
     predictors,
     rays,
     speed,
+    throughput,
     unseen,
 )
 from benchmarks.study import main

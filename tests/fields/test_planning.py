@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skygain.city import City
-from skygain.fields.planning import FALLBACK_RANGE_M, planning_field
+from skygain.fields.planning import FALLBACK_RANGE_M, less_product, planning_field
 from skygain.grid import Grid
 from skygain.measurements import Measurements
 from skygain.posterior import HasStationaryPrior
@@ -53,3 +53,14 @@ def test_a_belief_of_variances_gets_the_fallback(variance_predictor, scenario):
     assert covariance[0].max() == 0.0  # measured, so certain
     assert covariance[11, 11] == pytest.approx(100.0)
     assert covariance[11, 12] == pytest.approx(100.0 * np.exp(-4.0 / FALLBACK_RANGE_M))
+
+
+@pytest.mark.parametrize("sizes", [(3, 4, 5), (0, 4, 5), (3, 0, 5), (3, 4, 0)])
+def test_a_product_is_taken_off_in_place(sizes, rng):
+    k, n, m = sizes
+    matrix = rng.random((n, m), dtype=np.float32)
+    left, right = (rng.random((k, size), dtype=np.float32) for size in (n, m))
+    expected = matrix - left.T @ right
+    found = less_product(matrix, left, np.asfortranarray(right))
+    assert found is matrix
+    assert np.allclose(found, expected, atol=1e-5)

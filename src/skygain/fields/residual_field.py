@@ -26,6 +26,8 @@ from skygain.fields.offsets import offset_distance_m, seen_from
 
 Array = NDArray[np.float32]
 
+FEW = 6
+"""readings up to which products with one row after the other are quicker than one of matrices"""
 SMALLEST_VARIANCE = 1e-5
 """share of the prior variance below which a measured cell counts as known exactly; keeps the factor
 finite"""
@@ -116,7 +118,11 @@ class ResidualField:
         fresh = buffer[n : n + k]
         for i, cell in enumerate(cells.tolist()):
             fresh[i] = seen_from(self.table, *divmod(cell, cols)).ravel()
-        fresh -= rows[:, :n] @ buffer[:n]
+        if k > FEW:
+            fresh -= rows[:, :n] @ buffer[:n]
+        else:
+            for i in range(k):
+                fresh[i] -= rows[i, :n] @ buffer[:n]
         left = self.left
         for i, cell in enumerate(cells.tolist()):
             rows[i, n : n + i] = fresh[:i, cell]

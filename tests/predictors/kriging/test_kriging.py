@@ -371,6 +371,31 @@ def test_many_exact_readings_stay_stable():
     assert posterior.variance_db2.max() < 3.0
 
 
+@pytest.mark.parametrize("transform", [0.0, 5.0, 1e9])
+def test_variances_do_not_depend_on_who_looked_when(transform, rng, monkeypatch):
+    """Nor, but for rounding, on whether they are summed by products or by transforms."""
+    scenario, data = open_ground(), random_readings(rng, 150, noise=0.5)
+    expected = begun(scenario).updated(data).posterior()
+    monkeypatch.setattr("skygain.fields.gaussian_process.TRANSFORM", transform)
+    asked = unasked = begun(scenario)
+    for first in range(0, 150, 7):
+        part = data.taken(np.arange(first, min(first + 7, 150)))
+        asked, unasked = asked.updated(part), unasked.updated(part)
+        asked.posterior()
+    one, other = asked.posterior(), unasked.posterior()
+    assert np.array_equal(one.variance_db2, other.variance_db2)
+    assert np.array_equal(one.mean_db, other.mean_db)
+    assert np.allclose(one.variance_db2, expected.variance_db2, rtol=1e-9, atol=1e-7)
+    assert np.allclose(one.mean_db, expected.mean_db, atol=1e-6)
+
+
+def begun(scenario):
+    parameters = KrigingParameters.known_trend(
+        27.0, 72.0, sill_db2=90.0, range_m=25.0, nugget_db2=4.0
+    )
+    return KrigingPredictor(parameters=parameters, refit=False).begin(scenario)
+
+
 def test_kriging_without_a_transmitter_names_the_alternatives():
     scenario = open_ground().without_transmitter()
     with pytest.raises(InputError, match="kriging-blind"):
