@@ -9,9 +9,13 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 ENDING = ("SIGTERM", "SIGHUP")
+AGAIN = 128
+"""added to a signal's number: it was raised where Python ignores exceptions"""
 
 
 class Terminated(BaseException):
@@ -28,8 +32,9 @@ def told_of_signals(first: Callable[[], str], kept: str) -> Iterator[None]:
     usual; a second one prints ``kept``; SIGTERM and SIGHUP print ``kept`` and raise `Terminated`.
 
     Python runs signal handlers between two of its own steps only, and compiled code can take
-    seconds. So the text is printed by a thread that the system's own handler wakes. Outside the
-    main thread nothing changes.
+    seconds. So the text is printed by a thread that the system's own handler wakes. What is raised
+    where Python ignores exceptions, as in ``__del__``, is raised once more. Outside the main thread
+    nothing changes.
     """
     if threading.current_thread() is not threading.main_thread() or sys.platform == "win32":
         yield
@@ -37,12 +42,21 @@ def told_of_signals(first: Callable[[], str], kept: str) -> Iterator[None]:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     seen: list[int] = []
+    repeated: list[int] = []
 
     def tell() -> None:
         while data := os.read(reader, 1):
             number = data[0]
             if number == 0:
                 return
+            if number >= AGAIN:
+                time.sleep(0.05)  # until the main thread is out of what ignored it
+                repeated.append(number - AGAIN)
+                os.kill(os.getpid(), number - AGAIN)
+                continue
+            if number in repeated:  # it was told when it came
+                repeated.remove(number)
+                continue
             again = signal.SIGINT in seen
             seen.append(number)
             text = first() if number == signal.SIGINT and not again else kept
@@ -51,14 +65,24 @@ def told_of_signals(first: Callable[[], str], kept: str) -> Iterator[None]:
     def end(number: int, _: object) -> None:
         raise Terminated(number)
 
+    def ignored(found: Any) -> None:
+        raised = found.exc_value
+        if not isinstance(raised, (Terminated, KeyboardInterrupt)):
+            usual(found)
+            return
+        number = raised.number if isinstance(raised, Terminated) else signal.SIGINT
+        os.write(writer, bytes([AGAIN + number]))
+
     thread = threading.Thread(target=tell, daemon=True)
     thread.start()
     numbers = [getattr(signal, name) for name in ENDING]
     before = {number: signal.signal(number, end) for number in numbers}
     woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    usual, sys.unraisablehook = sys.unraisablehook, ignored
     try:
         yield
     finally:
+        sys.unraisablehook = usual
         signal.set_wakeup_fd(woken)
         for number, handler in before.items():
             signal.signal(number, handler)
