@@ -1,17 +1,22 @@
 """Files of every format, damaged in every way, read in a process of their own.
 
 Run as ``python -m tests.robustness.mutants SOURCES KIND SEED COUNT``: writes a line for each mutant
-that ends in anything but a sound city or recording, or one line; the seed finds it again.
+that ends in anything but a sound city or recording, or one line; the seed finds it again. A child
+reads some hundreds; one that dies costs the mutant that it was reading.
 """
 
 from __future__ import annotations
 
+import mmap
+import os
 import re
 import resource
+import shutil
 import signal
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +25,8 @@ ODD = (b"", b"NaN", b"null", b"-1", b"1e400", b"1e30", b"0", b'"', b"{}", b"[]",
 ODD += (b"\x00", b"99999999999", b"-0.0", b"2147483648", b"\xff\xfe", b"1;2", b"0x10")
 """what a number of a text file is replaced by"""
 
-MOST_BYTES, MOST_SECONDS = 4_000_000_000, 60
-"""memory and time that one process, and one mutant, may take"""
+MOST_BYTES, MOST_SECONDS, AT_ONCE = 1_000_000_000, 60, 500
+"""resident memory and time that a mutant may take, and how many a child reads"""
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
@@ -106,31 +111,73 @@ def _late(number: int, frame: object) -> None:
 
 
 def main(folder: str, kind: str, seed: str, count: str) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     warnings.simplefilter("ignore")
-    signal.signal(signal.SIGALRM, _late)
     judge = {"city": complaint_of_city, "log": complaint_of_log}[kind]
     sources = sorted(p for p in Path(folder).iterdir() if p.suffix not in (".shx", ".dbf", ".cpg"))
-    judge(sources[0])  # what is imported once takes longer than any mutant
-    for number in range(int(seed), int(seed) + int(count)):
-        rng = np.random.default_rng(number)
-        source = sources[number % len(sources)]
-        print(f"at {number} {source.name}", flush=True)
-        with tempfile.TemporaryDirectory() as place:
-            path = Path(place) / f"x{''.join(source.suffixes)}"
-            for beside in (".shx", ".dbf"):
-                if source.with_suffix(beside).exists():
-                    path.with_suffix(beside).write_bytes(source.with_suffix(beside).read_bytes())
-            path.write_bytes(mutated(source.read_bytes(), rng))
-            signal.alarm(MOST_SECONDS)
+    for source in sources:  # what is imported once takes longer than any mutant
+        if found := judge(source):
+            print(f"bad {source.name}, which is sound: {found}")
+    at, end = int(seed), int(seed) + int(count)
+    reached = np.frombuffer(mmap.mmap(-1, 8), dtype=np.int64)
+    while at < end:
+        last = min(at + AT_ONCE, end)
+        sys.stdout.flush()
+        child = os.fork()
+        if child == 0:
+            code = 1
             try:
-                found = judge(path)
-            except Exception as error:
-                found = f"{type(error).__name__}: {str(error)[:200]}"
-            signal.alarm(0)
-        if found:
-            print(f"bad {number} {source.name}: {' '.join(found.split())}", flush=True)
-    print("done", flush=True)
+                read(judge, sources, range(at, last), reached)
+                code = 0
+            finally:
+                os._exit(code)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        at = last
+        if status:
+            at = int(reached[0]) + 1
+            print(f"bad {at - 1} {sources[(at - 1) % len(sources)].name}: ended with {status}")
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e6
+    print(f"done: {count} damaged files of {len(sources)} kinds, at most {most:.0f} MB")
+
+
+def read(
+    judge: Callable[[Path], str], sources: list[Path], numbers: range, reached: np.ndarray
+) -> None:
+    """Judge these mutants, in a process that may take no more than it should; their complaints go
+    to the output, and what the libraries print goes nowhere."""
+    told = os.fdopen(os.dup(1), "w")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    pages, resident = map(int, Path("/proc/self/statm").read_text().split()[:2])
+    room = MOST_BYTES + (pages - resident) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (room, room))
+    signal.signal(signal.SIGALRM, _late)
+    with tempfile.TemporaryDirectory() as place:
+        for number in numbers:
+            reached[0] = number
+            source = sources[number % len(sources)]
+            found = judged(judge, source, Path(place) / str(number), number)
+            if found:
+                print(f"bad {number} {source.name}: {' '.join(found.split())}", file=told)
+                told.flush()
+
+
+def judged(judge: Callable[[Path], str], source: Path, folder: Path, number: int) -> str:
+    """What is wrong with how the mutant of that number was read."""
+    folder.mkdir()
+    path = folder / f"x{''.join(source.suffixes)}"
+    for beside in (".shx", ".dbf"):
+        if source.with_suffix(beside).exists():
+            shutil.copyfile(source.with_suffix(beside), path.with_suffix(beside))
+    path.write_bytes(mutated(source.read_bytes(), np.random.default_rng(number)))
+    signal.alarm(MOST_SECONDS)
+    try:
+        return judge(path)
+    except Exception as error:
+        return f"{type(error).__name__}: {str(error)[:200]}"
+    finally:
+        signal.alarm(0)
+        shutil.rmtree(folder)
 
 
 if __name__ == "__main__":
