@@ -2,7 +2,8 @@
 
     python -m tests.robustness.chains COMMAND FOLDER SEED KILLS
 
-A process of its own, without threads, so that it can fork: a try costs no start of Python. Every
+A process of its own, without threads, so that it can fork: a try costs no start of Python, and no
+import of what the first run imported. Every
 death has to be a quiet one, what was kept before it has to be there after it, and every end has to
 be that of a run left alone. Prints the kills by signal and the ends.
 """
@@ -10,6 +11,7 @@ be that of a run left alone. Prints the kills by signal and the ends.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import random
@@ -17,6 +19,7 @@ import select
 import shutil
 import signal
 import sys
+import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -189,8 +192,15 @@ COMMANDS: dict[str, type[Killable]] = {
 }
 
 
-def tried(command: Killable, folder: Path, log: Path, kill: tuple[int, float] | None) -> int | None:
-    """Give the command once; ``kill`` is a signal and the seconds until it is sent.
+def tried(
+    command: Killable,
+    folder: Path,
+    log: Path,
+    kill: tuple[int, float] | None = None,
+    modules: Path | None = None,
+) -> int | None:
+    """Give the command once; ``kill`` is a signal and the seconds until it is sent. The file
+    ``modules`` becomes a list of what was imported.
 
     Returns:
         The signal that was sent before the end, if one was.
@@ -213,6 +223,8 @@ def tried(command: Killable, folder: Path, log: Path, kill: tuple[int, float] | 
         except BaseException:
             traceback.print_exc()
         finally:
+            if modules:
+                modules.write_text("\n".join(name for name in sys.modules if "main" not in name))
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(int(code))  # type: ignore[call-overload]
@@ -234,9 +246,12 @@ def tried(command: Killable, folder: Path, log: Path, kill: tuple[int, float] | 
 def main(name: str, place: str, seed: str, kills: str) -> None:
     command, rng = COMMANDS[name](), random.Random(int(seed))
     top, log = Path(place), Path(place) / "log.txt"
-    tried(command, made(top / "first"), log, None)
-    began = time.monotonic()  # what is compiled and loaded once is no part of it
-    tried(command, made(top / "whole"), log, None)
+    tried(command, made(top / "first"), log, modules=top / "modules.txt")
+    for module in (top / "modules.txt").read_text().splitlines():
+        with contextlib.suppress(Exception):  # some can only be imported from others
+            importlib.import_module(module)
+    began = time.monotonic()
+    tried(command, made(top / "whole"), log)
     longest = SHARE * (time.monotonic() - began)
     whole = command.result(top / "whole")
     assert command.result(top / "first") == whole, "two runs left alone differ"
@@ -257,6 +272,7 @@ def main(name: str, place: str, seed: str, kills: str) -> None:
         else:
             assert command.kept(folder).startswith(before), "what was kept is gone"
     told = ", ".join(f"{count} {one}" for one, count in sorted(sent.items()))
+    assert threading.active_count() == 1, threading.enumerate()
     print(f"{name}: {sum(sent.values())} kills ({told}), {ends} ends, all the same")
 
 

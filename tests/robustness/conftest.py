@@ -16,9 +16,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if TRIALS == 1:
         return
     found: dict[str, Counter[str]] = {}
+    told: list[str] = []
     for end in ENDS:
         for report in terminalreporter.stats.get(end, []):
             file, _, test = report.nodeid.rpartition("::")
+            told += [str(value) for name, value in report.user_properties if name == "trials"]
             if "robustness/" in file:
                 words = test.partition("[")[0].removeprefix("test_").replace("_", " ")
                 kind = file.rpartition("/")[2].removeprefix("test_").removesuffix(".py")
@@ -29,3 +31,5 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for name, ends in sorted(found.items()):
         line = "".join(f"{ends[end] or '–':>9}" for end in ENDS)
         terminalreporter.write_line(f"{name:<{width}}{line}")
+    for text in sorted(told):
+        terminalreporter.write_line(text)
