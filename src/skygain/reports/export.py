@@ -183,9 +183,9 @@ def _netcdf(outcome: Outcome) -> tuple[bytes, str | None]:
     with h5netcdf.File(content, "w") as file:
         file.attrs.update({"Conventions": "CF-1.11", **_facts(outcome)})
         file.dimensions = {"y": grid.shape[0], "x": grid.shape[1]}
-        for name, (positions_m, text) in axes.items():
+        for name, (positions_m, told) in axes.items():
             one = file.create_variable(name, (name,), data=positions_m, fillvalue=np.nan)
-            one.attrs.update({"units": "m", **text})
+            one.attrs.update({"units": "m", **told})
         if mapping:
             file.create_variable("spatial_ref", data=0).attrs.update(mapping)
         for name, (values, unit, text) in layers.items():
