@@ -36,6 +36,7 @@ from skygain.flight.moves import DCOL, DROW, Cells
 from skygain.flight.swarm import Swarm
 from skygain.flight.ways import fill_steps
 from skygain.ground.errors import InputError
+from skygain.ground.kernels import uncounted
 
 _SEARCH_LIMIT = (
     20_000  # joint choices tried when every UAV must still get home; met only in crowded corridors
@@ -75,7 +76,7 @@ class Airspace(NamedTuple):
         )
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def keeps_apart(row, col, other_row, other_col, air):
     """Whether two UAVs in these cells respect the distance rules."""
     if air.separate and row == other_row and col == other_col:
@@ -85,7 +86,7 @@ def keeps_apart(row, col, other_row, other_col, air):
     return True
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def may_enter(uav, row, col, left, air):
     """Whether obstacles, the map's edge and the way home let ``uav`` enter (row, col) with ``left``
     moves before this one."""

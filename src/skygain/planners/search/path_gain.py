@@ -9,9 +9,6 @@ variance of a reading, the gain of v is
   targets;
 - entropy:             ½ log(1 + d_v/σ²);
 - mutual information:  ½ log((d_v + σ²)/(d_v|X + σ²)), d_v|X the variance given all targets as well.
-
-What runs for every cell of every path is compiled without counting references (``_nrt=False``): it
-makes no arrays, and the counting would take as long as the work.
 """
 
 from __future__ import annotations
@@ -24,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from skygain.ground.kernels import uncounted
 from skygain.planners.search.objectives import Objective
 
 
@@ -76,7 +74,7 @@ def rows_for(lines, depth, reach):
     )
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy", _nrt=False)
+@uncounted(fastmath={"reassoc", "contract"}, error_model="numpy")
 def gain_of(cell, chain, depth, rows, reach, out, line):
     """Gain of measuring ``cell`` after the ``depth`` lines ``chain`` of ``rows``; fills its own
     ``line`` of ``out``. −1 if the cell is known or on the path already."""
@@ -136,7 +134,7 @@ def gain_of(cell, chain, depth, rows, reach, out, line):
     return float(gain)
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def copied(source, line, to, node, depth, objective):
     """Copy one line of rows, of ``depth`` entries, to another."""
     to.cell[node] = source.cell[line]

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from skygain.flight.airspace import Airspace, may_enter
 from skygain.flight.moves import DCOL, DROW
+from skygain.ground.kernels import uncounted
 from skygain.planners.search.path_gain import (
     Reach,
     Rows,
@@ -82,7 +83,7 @@ class Window(NamedTuple):
     """cells along a side"""
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def _chain_of(node, before, chain):
     """Nodes measured on the way to the measured ``node``, earliest first, in ``chain``; returns how
     many."""
@@ -97,7 +98,7 @@ def _chain_of(node, before, chain):
     return depth
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def _grow(
     uav, step, first, end, by_move, order, chain, tree, layer, window, alone, reach, traffic, air
 ):
@@ -139,7 +140,7 @@ def _grow(
     return count
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def _keep(chosen, end, step, tree, layer, objective):
     """Add the ``chosen`` candidates of ``step`` to ``tree`` from node ``end`` on."""
     for k in range(len(chosen)):

@@ -7,10 +7,10 @@ __all__ = ["Traffic", "is_clear"]
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from skygain.flight.airspace import keeps_apart
+from skygain.ground.kernels import uncounted
 
 
 class Traffic(NamedTuple):
@@ -42,7 +42,7 @@ class Traffic(NamedTuple):
         return cls(paths, known, left, np.flatnonzero(near))
 
 
-@njit(cache=True, _nrt=False)
+@uncounted()
 def is_clear(uav, step, row, col, to_row, to_col, traffic, air):
     """Whether moving from (row, col) to (to_row, to_col) as move number ``step`` (from 1) keeps
     clear of the settled paths."""

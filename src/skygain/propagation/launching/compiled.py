@@ -8,7 +8,7 @@ from __future__ import annotations
 
 __all__ = ["inner"]
 
-import numba
+from skygain.ground.kernels import uncounted
 
-inner = numba.njit(cache=True, nogil=True, _nrt=False)
+inner = uncounted(nogil=True)
 """compiles a function that allocates nothing; an allocation in it fails to compile"""
