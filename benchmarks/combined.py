@@ -142,7 +142,7 @@ def ours(
     data="FOLDER",
     cities=Option((1,), "seeds of the cities"),
     points=Option(200, "points of each city"),
-    runs=Option(("1M1", "1M2"), "runs of the path solver: millions of samples, M, seed"),
+    runs=Option(("4M1", "1M1", "1M2"), "runs of the path solver: millions of samples, M, seed"),
 )
 def combined_paths(run: Run) -> list[Table]:
     """The launcher at points against Sionna RT's path solver, with and without combined paths.
