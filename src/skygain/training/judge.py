@@ -68,6 +68,8 @@ class JudgeConfig:
     """path of the data set, or of several; T3 trains, T2 gives the scores"""
     out: str = ""
     """folder of the run; an existing checkpoint is continued"""
+    windows: int = 1
+    """windows that are flown in each city"""
     rounds: int = 30
     """passes over all surveys"""
     hidden: int = 64
@@ -218,25 +220,29 @@ def _flown(config: JudgeConfig, split: str, report: Report) -> list[_Sample]:
         # every candidate has a map
         settings=OperatorSettings(coarse_m=COARSE_M, first_maps=10_000),
     )
-    files = flown_cities(
-        "judge-pool",
-        config.data,
-        split,
-        partial(_fly_city, predictor),
-        weights=(predictor.weights, predictor.paths, predictor.locator),
-        settings=(predictor.settings, (PER_CITY, PLANNED, SIDE)),
-        # a stream of its own for every data set, so that two with the same cities fly different
-        # surveys
-        stream=lambda path, city: [
-            int.from_bytes(path.name.encode()[:8], "little"),
-            ord(split[1]),
-            city,
-        ],
-        pool=config.pool,
-        workers=config.workers,
-        cluster=config.cluster,
-        report=report,
-    )
+    files: list[Path] = []
+    for window in range(config.windows):
+        more = (window,) if window else ()
+        files += flown_cities(
+            "judge-pool",
+            config.data,
+            split,
+            partial(_fly_city, predictor),
+            weights=(predictor.weights, predictor.paths, predictor.locator),
+            settings=(predictor.settings, (PER_CITY, PLANNED, SIDE, *more)),
+            # a stream of its own for every data set, so that two with the same cities fly
+            # different surveys
+            stream=lambda path, city, more=more: [  # type: ignore[misc]
+                int.from_bytes(path.name.encode()[:8], "little"),
+                ord(split[1]),
+                city,
+                *more,
+            ],
+            pool=config.pool,
+            workers=config.workers,
+            cluster=config.cluster,
+            report=report,
+        )
     return [sample for file in files for sample in _read(file)]
 
 
