@@ -227,7 +227,7 @@ def beam_path(
         chosen = np.argsort(-layer.value[:count], kind="mergesort")[:width]
         _keep(chosen, end, step, tree, layer, reach.objective)
         first, end = end, end + len(chosen)
-    best = first
+    best = int(first)
     for node in range(first, end):
         if tree.value[node] > tree.value[best]:
             best = node
