@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["Lessons"]
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,21 @@ class Lessons:
     """``[s, s + x]`` covariance of sites with sites and weighted targets, before any plan"""
     noise_db2: float
     """of a planned reading"""
+    anyway: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """sites whose readings ``among`` takes as given"""
 
     def __post_init__(self) -> None:
+        self._forget()
+
+    def _forget(self) -> None:
         self.now = self.among.copy()
         self.planned = np.zeros(len(self.among), dtype=bool)
+        self.planned[self.anyway] = True
+
+    def after(self, sites: NDArray[np.int64]) -> Lessons:
+        """What is left when sites are read in any case; forgets all plans."""
+        self.begin(sites)
+        return Lessons(self.now.copy(), self.noise_db2, np.flatnonzero(self.planned))
 
     @classmethod
     def about(
@@ -92,8 +103,7 @@ class Lessons:
 
     def begin(self, sites: NDArray[np.int64]) -> None:
         """Forget all plans but readings at sites."""
-        self.now = self.among.copy()
-        self.planned[:] = False
+        self._forget()
         self.plan(sites)
 
     def _white(self, sites: NDArray[np.int64], cross: Floats) -> Floats:

@@ -127,10 +127,8 @@ class NewWays:
         starts, horizon_s = [], self.settings.horizon_s
         if len(ahead.later_m):
             # what takes no longer than before leaves the later part's times as they were
-            starts = [
-                Start(rider.uav, ahead.lead_m, min(left_s, most_s), ahead.later_m, ahead.home_m)
-                for most_s in (ahead.rest_s, ahead.rest_s + horizon_s)
-            ]
+            most_s = min(left_s, ahead.rest_s)
+            starts = [Start(rider.uav, ahead.lead_m, most_s, ahead.later_m, ahead.home_m)]
         if near_miss or not starts:
             way = site.ways_home[rider.uav].way(site.grid.cells_at(ahead.lead_m[-1]))
             shortest_s = way_seconds(np.vstack([ahead.lead_m, way]), old.speed_mps)

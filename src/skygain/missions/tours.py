@@ -239,15 +239,16 @@ def find_tours(
         headings: ``[uav, (x, y)]`` unit vectors in which they come; zero for those at rest.
         known: numbers of sites that are read by others anyway.
     """
+    theirs = np.empty(0, dtype=np.int64) if known is None else known
+    lessons = lessons.after(theirs)
     search = _Search(streets, lessons, speed_mps)
     tours = [[a, b] for a, b in zip(starts, homes, strict=True)]
     entered: list[list[int]] = [[] for _ in tours]
     come = np.zeros((len(tours), 2)) if headings is None else headings
-    theirs = np.empty(0, dtype=np.int64) if known is None else known
     took = [search.seconds(tour, way) for tour, way in zip(tours, come, strict=True)]
 
     def begin(before: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
-        now = np.union1d(theirs, search.read(tours))
+        now = search.read(tours)
         if before is not None and np.isin(before, now).all():
             lessons.plan(now)
         else:
