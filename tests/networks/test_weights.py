@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from skygain.ground.errors import InputError
-from skygain.networks.weights import export_weights, find_weights, read_weights, write_weights
+from skygain.networks.weights import (
+    TRAINABLE,
+    export_weights,
+    find_weights,
+    read_weights,
+    write_weights,
+)
 from skygain.predictors import create_predictor
 from skygain.testing.predictors import example_scenario
 
@@ -58,3 +64,13 @@ def test_shipped_cards_have_one_form(name):
     assert card["scores"]
     assert isinstance(card["recipe"], dict)
     assert card["data"]
+
+
+def test_every_recipe_is_known_by_name() -> None:
+    pytest.importorskip("torch")
+    from skygain.networks.policies.weights import POLICIES
+    from skygain.training.policies.recipes import POLICY_RECIPES
+    from skygain.training.recipes import RECIPES
+
+    assert tuple(RECIPES) == TRAINABLE
+    assert tuple(POLICY_RECIPES) == POLICIES

@@ -8,6 +8,7 @@ where training leaves them; a file of one's own is given by its path. NumPy is e
 from __future__ import annotations
 
 __all__ = [
+    "TRAINABLE",
     "Weights",
     "export_weights",
     "find_weights",
@@ -16,6 +17,7 @@ __all__ = [
     "read_card",
     "read_weights",
     "runs_folder",
+    "trained_here",
     "weight_file",
     "write_weights",
 ]
@@ -32,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skygain.ground.errors import InputError, install_command
+from skygain.ground.errors import InputError, did_you_mean, install_command
 from skygain.ground.files import atomic_write
 from skygain.networks.quantised import dequantised, multipliable, quantised
 
@@ -41,6 +43,20 @@ LARGE = 1_000_000
 PACKAGE_WEIGHTS = Path(__file__).parents[1] / "data" / "weights"
 EXTRA_WEIGHTS = {"paper-unet": "skygain-paper-weights"}
 """weights that a distribution of their own brings"""
+TRAINABLE = (
+    "operator",
+    "operator-no-profile",
+    "path-model",
+    "locator",
+    "judge",
+    "unet",
+    "paper-unet",
+    "paper-unet-mapblind",
+    "paper-unet-5",
+    "paper-unet-20m",
+    "paper-unet-30m",
+)
+"""names of the recipes of `skygain train predictor`"""
 AVERAGE = "average."
 """before the names of a run's averaged weights in its checkpoint"""
 COUNTER = "num_batches_tracked"
@@ -98,11 +114,21 @@ def find_weights(name: str) -> Path:
             f"the weights {name!r} come in a package of their own, which is not installed; "
             f"bring them with: {install_command('paper')}"
         )
+    if name not in TRAINABLE:
+        raise InputError(
+            f"there are no weights {name!r} (a file ends in .safetensors); "
+            f"{did_you_mean(name, sorted({*TRAINABLE, *trained_here()}))}"
+        )
     raise InputError(
         f"the weights {name!r} do not ship with this version and were not trained here; make them "
         "with: "
         f"skygain train predictor --recipe {name} (a data set is needed: skygain dataset --help)"
     )
+
+
+def trained_here() -> set[str]:
+    """Names of the weights that runs have left."""
+    return {path.stem for path in runs_folder().glob("*/*.safetensors")} - {"checkpoint"}
 
 
 def weight_file(name: str | Path) -> Path:

@@ -64,8 +64,10 @@ def test_a_map_too_large_for_the_paper_is_refused(paper):
 
 def test_missing_weights_name_the_command_that_makes_them(tmp_path, monkeypatch):
     monkeypatch.setenv("SKYGAIN_CACHE", str(tmp_path))
-    with pytest.raises(InputError, match="skygain train predictor --recipe no-such"):
-        UNetPredictor(weights="no-such").begin(example_scenario())
+    with pytest.raises(InputError, match="skygain train predictor --recipe paper-unet-20m"):
+        UNetPredictor(weights="paper-unet-20m").begin(example_scenario())
+    with pytest.raises(InputError, match=r"there are no weights 'unit' .* did you mean 'unet'"):
+        UNetPredictor(weights="unit").begin(example_scenario())
 
 
 def test_weights_of_another_network_are_refused(tmp_path):
