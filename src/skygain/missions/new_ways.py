@@ -113,7 +113,8 @@ class NewWays:
         left_s: float,
         near_miss: bool,
     ) -> Iterator[Flight]:
-
+        """A tour from where a vehicle will be into the later part of its old one, or home where
+        that is near or two may meet."""
         site, planner, old = self.site, self._planner, rider.flight
         assert isinstance(planner, SequentialGreedyPlanner)
         ahead = rider.ahead(
@@ -137,9 +138,8 @@ class NewWays:
             found = plan_tours(
                 site, belief, [start], planner.noise_db2, planner.weighted, known=known, rounds=1
             )[0]
-            if not found:
-                return
-            yield replace(found[0], airborne=True)
+            if found:
+                yield replace(found[0], airborne=True)
 
     def _along_cells(
         self,
