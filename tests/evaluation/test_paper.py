@@ -157,7 +157,7 @@ def test_a_straight_line_has_its_slope() -> None:
 def test_a_method_without_weights_gives_way_and_says_why() -> None:
     label, why = installed(["paper-unet:weights=no-such / dqn", "kriging / lawnmower"])
     assert label == "kriging / lawnmower"
-    assert "the weights 'no-such'" in why
+    assert "no weights 'no-such'" in why
     assert installed(["paper-unet:weights=no-such / dqn"])[0] is None
 
 

@@ -68,7 +68,6 @@ def test_shipped_cards_have_one_form(name):
 
 def test_every_recipe_is_known_by_name() -> None:
     pytest.importorskip("torch")
-    from skygain.networks.policies.weights import POLICIES
     from skygain.training.policies.recipes import POLICY_RECIPES
     from skygain.training.recipes import RECIPES
 

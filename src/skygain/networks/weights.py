@@ -8,6 +8,7 @@ where training leaves them; a file of one's own is given by its path. NumPy is e
 from __future__ import annotations
 
 __all__ = [
+    "POLICIES",
     "TRAINABLE",
     "Weights",
     "export_weights",
@@ -57,6 +58,8 @@ TRAINABLE = (
     "paper-unet-30m",
 )
 """names of the recipes of `skygain train predictor`"""
+POLICIES = ("paper-dqn", "dqn", "dqn-rewards-only", "dqn-thin-plate", "imitation")
+"""names of the recipes of `skygain train policy`"""
 AVERAGE = "average."
 """before the names of a run's averaged weights in its checkpoint"""
 COUNTER = "num_batches_tracked"
@@ -117,7 +120,7 @@ def find_weights(name: str) -> Path:
     if name not in TRAINABLE:
         raise InputError(
             f"there are no weights {name!r} (a file ends in .safetensors); "
-            f"{did_you_mean(name, sorted({*TRAINABLE, *trained_here()}))}"
+            f"{did_you_mean(name, sorted({*TRAINABLE, *trained_here()} - {*POLICIES}))}"
         )
     raise InputError(
         f"the weights {name!r} do not ship with this version and were not trained here; make them "

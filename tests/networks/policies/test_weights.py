@@ -57,6 +57,9 @@ def test_a_policy_with_the_papers_network_conforms(tmp_path):
     )
 
 
-def test_weights_that_are_not_there_are_asked_for():
-    with pytest.raises(InputError, match="train policy --recipe nothing"):
-        load_policy("nothing")
+def test_weights_that_are_not_there_are_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv("SKYGAIN_CACHE", str(tmp_path))
+    with pytest.raises(InputError, match="train policy --recipe dqn-thin-plate"):
+        load_policy("dqn-thin-plate")
+    with pytest.raises(InputError, match=r"no policy 'imitate' .* did you mean 'imitation'"):
+        load_policy("imitate")

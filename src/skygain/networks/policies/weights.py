@@ -6,24 +6,27 @@ The paper's policy network has 19 million weights, 99 % of them in one dense lay
 
 from __future__ import annotations
 
-__all__ = ["POLICIES", "definition_of", "export_policy", "policy_file"]
+__all__ = ["definition_of", "export_policy", "policy_file"]
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from skygain.ground.errors import InputError, did_you_mean
-from skygain.networks.weights import find_weights, packed, trained_here, write_weights
+from skygain.networks.weights import (
+    POLICIES,
+    TRAINABLE,
+    find_weights,
+    packed,
+    trained_here,
+    write_weights,
+)
 
 
 def export_policy(state: Mapping[str, Any], path: Path, card: dict[str, Any]) -> None:
     """Write the weights ``state`` with ``card`` (its key ``policy`` describes the network) to
     ``path``, and the card as JSON beside it."""
     write_weights(path, packed(state, bits=8), card)
-
-
-POLICIES = ("paper-dqn", "dqn", "dqn-rewards-only", "dqn-thin-plate", "imitation")
-"""names of the recipes of `skygain train policy`"""
 
 
 def policy_file(weights: str | Path) -> Path:
@@ -41,7 +44,7 @@ def policy_file(weights: str | Path) -> Path:
         if str(weights) not in POLICIES:
             raise InputError(
                 f"there is no policy {str(weights)!r} (a file ends in .safetensors); "
-                f"{did_you_mean(str(weights), sorted({*POLICIES, *trained_here()}))}"
+                f"{did_you_mean(str(weights), sorted({*POLICIES, *trained_here()} - {*TRAINABLE}))}"
             ) from None
         raise InputError(
             f"the policy {str(weights)!r} does not ship with this version and was not trained "
