@@ -7,6 +7,7 @@ import pytest
 
 from skygain.ground.errors import InputError
 from skygain.networks.weights import (
+    POLICIES,
     TRAINABLE,
     export_weights,
     find_weights,
